@@ -1,0 +1,160 @@
+//! The pinhole camera: u = fx x/z + cx, with pixel centres at integer coordinates.
+
+use nalgebra::{Vector2, Vector3};
+use thiserror::Error;
+
+use crate::Se3;
+
+/// Focal lengths and principal point, pixels.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Intrinsics {
+    /// Horizontal focal length.
+    pub fx: f64,
+    /// Vertical focal length.
+    pub fy: f64,
+    /// Column of the principal point.
+    pub cx: f64,
+    /// Row of the principal point.
+    pub cy: f64,
+}
+
+/// Why a camera's values are refused. `key` is the name of the value in a camera file.
+#[derive(Clone, Debug, Error, PartialEq)]
+#[error("{key} = {value} is not possible: {expected}")]
+pub struct CameraError {
+    /// The value's name in a camera file.
+    pub key: &'static str,
+    /// The value refused.
+    pub value: f64,
+    /// What it should be.
+    pub expected: String,
+}
+
+/// A pinhole camera without distortion.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Camera {
+    /// Columns.
+    pub width: usize,
+    /// Rows.
+    pub height: usize,
+    /// Focal lengths and principal point.
+    pub intrinsics: Intrinsics,
+}
+
+impl Camera {
+    /// A camera whose values are plausible: 1 to 65536 pixels a side, a focal length between a
+    /// tenth and a hundred times the image's longer side, a principal point inside the image.
+    ///
+    /// # Errors
+    /// Names the first value that is not.
+    pub fn new(width: usize, height: usize, intrinsics: Intrinsics) -> Result<Self, CameraError> {
+        let refuse = |key, value: f64, expected: String| {
+            Err(CameraError {
+                key,
+                value,
+                expected,
+            })
+        };
+        for (key, size) in [("width", width), ("height", height)] {
+            if !(1..=65536).contains(&size) {
+                return refuse(key, size as f64, "1 to 65536 pixels".into());
+            }
+        }
+        let side = width.max(height) as f64;
+        for (key, focal) in [("fx", intrinsics.fx), ("fy", intrinsics.fy)] {
+            if !(0.1 * side..=100.0 * side).contains(&focal) {
+                let range = format!("{:.0} to {:.0} pixels", 0.1 * side, 100.0 * side);
+                return refuse(key, focal, range);
+            }
+        }
+        for (key, center, size) in [
+            ("cx", intrinsics.cx, width as f64),
+            ("cy", intrinsics.cy, height as f64),
+        ] {
+            if !(-0.5..=size - 0.5).contains(&center) {
+                let range = format!("a point in the image, -0.5 to {:.1}", size - 0.5);
+                return refuse(key, center, range);
+            }
+        }
+        Ok(Self {
+            width,
+            height,
+            intrinsics,
+        })
+    }
+
+    /// The pixel coordinates of a point in camera axes, in or outside the image; `None` unless it
+    /// lies in front of the camera.
+    #[inline]
+    pub fn project(&self, point: &Vector3<f64>) -> Option<Vector2<f64>> {
+        let Intrinsics { fx, fy, cx, cy } = self.intrinsics;
+        (point.z > 0.0)
+            .then(|| Vector2::new(fx * point.x / point.z + cx, fy * point.y / point.z + cy))
+    }
+
+    /// The ray K^-1 (u, v, 1) through a pixel, with z = 1, in camera axes.
+    #[inline]
+    pub fn ray(&self, u: f64, v: f64) -> Vector3<f64> {
+        let Intrinsics { fx, fy, cx, cy } = self.intrinsics;
+        Vector3::new((u - cx) / fx, (v - cy) / fy, 1.0)
+    }
+
+    /// The point at `depth_m` along z seen at a pixel, in camera axes.
+    #[inline]
+    pub fn unproject(&self, u: f64, v: f64, depth_m: f64) -> Vector3<f64> {
+        self.ray(u, v) * depth_m
+    }
+
+    /// Whether pixel coordinates round to a pixel of the image.
+    #[inline]
+    pub fn contains(&self, pixel: &Vector2<f64>) -> bool {
+        let inside = |x: f64, size: usize| (-0.5..size as f64 - 0.5).contains(&x);
+        inside(pixel.x, self.width) && inside(pixel.y, self.height)
+    }
+}
+
+/// A camera in a place.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct View {
+    /// The camera.
+    pub camera: Camera,
+    /// Its pose.
+    pub world_from_camera: Se3,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const INTRINSICS: Intrinsics = Intrinsics {
+        fx: 500.0,
+        fy: 520.0,
+        cx: 310.5,
+        cy: 250.25,
+    };
+
+    #[test]
+    fn unproject_inverts_project() {
+        let camera = Camera::new(640, 480, INTRINSICS).unwrap();
+        let point = camera.unproject(17.0, 401.0, 2.5);
+        assert!((point.z - 2.5).abs() <= 1e-15);
+        let pixel = camera.project(&point).unwrap();
+        assert!((pixel - Vector2::new(17.0, 401.0)).amax() <= 1e-10);
+        assert_eq!(camera.project(&-point), None);
+    }
+
+    #[test]
+    fn absurd_values_are_named() {
+        let refused = |width, height, change: fn(&mut Intrinsics)| {
+            let mut intrinsics = INTRINSICS;
+            change(&mut intrinsics);
+            Camera::new(width, height, intrinsics).unwrap_err().key
+        };
+        assert_eq!(refused(0, 480, |_| ()), "width");
+        assert_eq!(refused(640, 70000, |_| ()), "height");
+        assert_eq!(refused(640, 480, |i| i.fx = -500.0), "fx");
+        assert_eq!(refused(640, 480, |i| i.fy = f64::NAN), "fy");
+        assert_eq!(refused(640, 480, |i| i.cx = 1000.0), "cx");
+        assert_eq!(refused(640, 480, |i| i.cy = f64::INFINITY), "cy");
+    }
+}

@@ -1,0 +1,179 @@
+//! Radial-tangential lens distortion (Brown-Conrady, as in OpenCV) and its removal from images.
+
+use nalgebra::Vector2;
+
+use crate::{Camera, Image};
+
+/// Coefficients in OpenCV's order: k1, k2, p1, p2, k3.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Distortion {
+    /// Radial, r^2.
+    pub k1: f64,
+    /// Radial, r^4.
+    pub k2: f64,
+    /// Tangential.
+    pub p1: f64,
+    /// Tangential.
+    pub p2: f64,
+    /// Radial, r^6.
+    pub k3: f64,
+}
+
+impl Distortion {
+    /// From `[k1, k2, p1, p2, k3]`.
+    pub fn from_array([k1, k2, p1, p2, k3]: [f64; 5]) -> Self {
+        Self { k1, k2, p1, p2, k3 }
+    }
+
+    /// Where the lens moves the ideal point (x/z, y/z).
+    pub fn distort(&self, ideal: &Vector2<f64>) -> Vector2<f64> {
+        let (x, y) = (ideal.x, ideal.y);
+        let r2 = x * x + y * y;
+        let radial = 1.0 + r2 * (self.k1 + r2 * (self.k2 + r2 * self.k3));
+        Vector2::new(
+            x * radial + 2.0 * self.p1 * x * y + self.p2 * (r2 + 2.0 * x * x),
+            y * radial + self.p1 * (r2 + 2.0 * y * y) + 2.0 * self.p2 * x * y,
+        )
+    }
+}
+
+/// For each pixel of the ideal image, the coordinates in the distorted image that it shows.
+/// Both images have the same intrinsics.
+#[derive(Clone, Debug)]
+pub struct UndistortionMap {
+    source: Image<[f32; 2]>,
+}
+
+impl UndistortionMap {
+    /// The map for one camera and lens.
+    pub fn new(camera: &Camera, distortion: &Distortion) -> Self {
+        let k = camera.intrinsics;
+        let source = Image::from_fn(camera.width, camera.height, |u, v| {
+            let ray = camera.ray(u as f64, v as f64);
+            let bent = distortion.distort(&ray.xy());
+            [(k.fx * bent.x + k.cx) as f32, (k.fy * bent.y + k.cy) as f32]
+        });
+        Self { source }
+    }
+
+    /// The ideal colour image, bilinear; black where the distorted image shows nothing.
+    /// `None` if the image has another size than the camera.
+    pub fn color(&self, distorted: &Image<[u8; 3]>) -> Option<Image<[u8; 3]>> {
+        self.fits(distorted).then(|| {
+            self.source.map(|&[x, y]| {
+                let (u, v) = (x.floor(), y.floor());
+                let (a, b) = (x - u, y - v);
+                let corner = |du: f32, dv: f32| pixel(distorted, u + du, v + dv);
+                let corners = [
+                    (corner(0.0, 0.0), (1.0 - a) * (1.0 - b)),
+                    (corner(1.0, 0.0), a * (1.0 - b)),
+                    (corner(0.0, 1.0), (1.0 - a) * b),
+                    (corner(1.0, 1.0), a * b),
+                ];
+                let mut color = [0.0; 3];
+                for (corner, weight) in corners {
+                    match corner {
+                        Some(rgb) => (0..3).for_each(|i| color[i] += weight * f32::from(rgb[i])),
+                        None if weight > 0.0 => return [0; 3],
+                        None => {}
+                    }
+                }
+                color.map(|channel| channel.round() as u8)
+            })
+        })
+    }
+
+    /// The ideal depth image, each pixel the nearest of the distorted one (mixing neighbours would
+    /// invent surfaces across edges); 0 where it shows nothing.
+    /// `None` if the image has another size than the camera.
+    pub fn depth(&self, distorted: &Image<f32>) -> Option<Image<f32>> {
+        self.fits(distorted).then(|| {
+            self.source
+                .map(|&[x, y]| pixel(distorted, x.round(), y.round()).unwrap_or(0.0))
+        })
+    }
+
+    fn fits<T>(&self, image: &Image<T>) -> bool {
+        (image.width(), image.height()) == (self.source.width(), self.source.height())
+    }
+}
+
+fn pixel<T: Copy>(image: &Image<T>, u: f32, v: f32) -> Option<T> {
+    (u >= 0.0 && v >= 0.0)
+        .then(|| image.get(u as usize, v as usize))
+        .flatten()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::Intrinsics;
+
+    /// TUM fr1's colour camera.
+    fn fr1() -> (Camera, Distortion) {
+        let intrinsics = Intrinsics {
+            fx: 517.3,
+            fy: 516.5,
+            cx: 318.6,
+            cy: 255.3,
+        };
+        (
+            Camera::new(640, 480, intrinsics).unwrap(),
+            Distortion::from_array([0.2624, -0.9531, -0.0054, 0.0026, 1.1633]),
+        )
+    }
+
+    /// By hand from the model's definition; OpenCV's projectPoints gives the same.
+    #[test]
+    fn distorts_like_opencv() {
+        let (_, distortion) = fr1();
+        let bent = distortion.distort(&Vector2::new(0.3, -0.2));
+        // r2 = 0.13; radial = 1 + 0.034112 - 0.01610739 + 0.00255577 = 1.02056038
+        assert!((bent.x - (0.3 * 1.020560380 + 0.000648 + 0.000806)).abs() <= 1e-8);
+        assert!((bent.y - (-0.2 * 1.020560380 - 0.001134 - 0.000312)).abs() <= 1e-8);
+    }
+
+    /// A smooth picture drawn through the lens comes back as the ideal picture.
+    #[test]
+    fn removes_what_the_lens_added() {
+        let (camera, distortion) = fr1();
+        let shade =
+            |x: f64, y: f64| (127.0 + 60.0 * (8.0 * x).sin() + 60.0 * (9.0 * y).cos()) as u8;
+        let ideal = Image::from_fn(640, 480, |u, v| {
+            let ray = camera.ray(u as f64, v as f64);
+            [shade(ray.x, ray.y); 3]
+        });
+        // The inverse lens by fixed-point iteration.
+        let distorted = Image::from_fn(640, 480, |u, v| {
+            let target = camera.ray(u as f64, v as f64).xy();
+            let mut point = target;
+            for _ in 0..50 {
+                point += target - distortion.distort(&point);
+            }
+            [shade(point.x, point.y); 3]
+        });
+        let restored = UndistortionMap::new(&camera, &distortion)
+            .color(&distorted)
+            .unwrap();
+        let mut worst_before = 0;
+        for v in 40..440 {
+            for u in 40..600 {
+                let difference =
+                    |image: &Image<[u8; 3]>| image.at(u, v)[0].abs_diff(ideal.at(u, v)[0]);
+                assert!(difference(&restored) <= 2, "({u}, {v})");
+                worst_before = worst_before.max(difference(&distorted));
+            }
+        }
+        assert!(worst_before >= 10, "the lens bends: {worst_before}");
+    }
+
+    #[test]
+    fn depth_is_never_mixed() {
+        let (camera, distortion) = fr1();
+        let map = UndistortionMap::new(&camera, &distortion);
+        let depth = Image::from_fn(640, 480, |u, _| if u < 300 { 1.0 } else { 3.0 });
+        let restored = map.depth(&depth).unwrap();
+        assert!(restored.data().iter().all(|d| [0.0, 1.0, 3.0].contains(d)));
+        assert!(map.depth(&Image::filled(10, 10, 1.0)).is_none());
+    }
+}

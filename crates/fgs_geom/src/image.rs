@@ -1,0 +1,142 @@
+//! A row-major image of any pixel type.
+
+use thiserror::Error;
+
+/// The number of values does not match the image's size.
+#[derive(Debug, Error, PartialEq, Eq)]
+#[error("an image of {width}x{height} needs {} values, got {len}", width * height)]
+pub struct ImageSizeError {
+    width: usize,
+    height: usize,
+    len: usize,
+}
+
+/// `width` x `height` pixels, row-major: pixel (u, v) is at `v * width + u`.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Image<T> {
+    width: usize,
+    height: usize,
+    data: Vec<T>,
+}
+
+impl<T> Image<T> {
+    /// From row-major values.
+    ///
+    /// # Errors
+    /// If `data` does not hold `width * height` values.
+    pub fn new(width: usize, height: usize, data: Vec<T>) -> Result<Self, ImageSizeError> {
+        let len = data.len();
+        if width.checked_mul(height) != Some(len) {
+            return Err(ImageSizeError { width, height, len });
+        }
+        Ok(Self {
+            width,
+            height,
+            data,
+        })
+    }
+
+    /// Each pixel from its column `u` and row `v`.
+    pub fn from_fn(width: usize, height: usize, mut pixel: impl FnMut(usize, usize) -> T) -> Self {
+        let mut data = Vec::with_capacity(width * height);
+        for v in 0..height {
+            data.extend((0..width).map(|u| pixel(u, v)));
+        }
+        Self {
+            width,
+            height,
+            data,
+        }
+    }
+
+    /// Columns.
+    pub fn width(&self) -> usize {
+        self.width
+    }
+
+    /// Rows.
+    pub fn height(&self) -> usize {
+        self.height
+    }
+
+    /// All pixels, row-major.
+    pub fn data(&self) -> &[T] {
+        &self.data
+    }
+
+    /// All pixels, row-major, to be changed in place.
+    pub fn data_mut(&mut self) -> &mut [T] {
+        &mut self.data
+    }
+
+    /// The pixels, row-major, without the size.
+    pub fn into_data(self) -> Vec<T> {
+        self.data
+    }
+
+    /// Row `v`.
+    pub fn row(&self, v: usize) -> &[T] {
+        &self.data[v * self.width..(v + 1) * self.width]
+    }
+
+    /// The same image with every pixel mapped.
+    pub fn map<U>(&self, f: impl FnMut(&T) -> U) -> Image<U> {
+        Image {
+            width: self.width,
+            height: self.height,
+            data: self.data.iter().map(f).collect(),
+        }
+    }
+}
+
+impl<T: Copy> Image<T> {
+    /// Every pixel the same.
+    pub fn filled(width: usize, height: usize, value: T) -> Self {
+        Self {
+            width,
+            height,
+            data: vec![value; width * height],
+        }
+    }
+
+    /// The pixel in column `u`, row `v`. Panics outside the image, like slice indexing.
+    #[inline]
+    pub fn at(&self, u: usize, v: usize) -> T {
+        debug_assert!(u < self.width);
+        self.data[v * self.width + u]
+    }
+
+    /// The pixel in column `u`, row `v`, or `None` outside the image.
+    #[inline]
+    pub fn get(&self, u: usize, v: usize) -> Option<T> {
+        (u < self.width && v < self.height).then(|| self.at(u, v))
+    }
+
+    /// Sets the pixel in column `u`, row `v`. Panics outside the image, like slice indexing.
+    #[inline]
+    pub fn set(&mut self, u: usize, v: usize, value: T) {
+        debug_assert!(u < self.width);
+        self.data[v * self.width + u] = value;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn rows_and_columns() {
+        let image = Image::from_fn(3, 2, |u, v| 10 * v + u);
+        assert_eq!(image.data(), &[0, 1, 2, 10, 11, 12]);
+        assert_eq!(image.row(1), &[10, 11, 12]);
+        assert_eq!(image.get(2, 1), Some(12));
+        assert_eq!(image.get(3, 1), None);
+        assert_eq!(image.get(0, 2), None);
+    }
+
+    #[test]
+    fn wrong_number_of_values() {
+        assert!(Image::new(3, 2, vec![0; 5]).is_err());
+        assert!(Image::new(usize::MAX, 2, vec![0; 5]).is_err());
+    }
+}

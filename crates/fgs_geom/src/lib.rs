@@ -1,0 +1,17 @@
+//! Geometry shared by every crate: rigid transforms, the pinhole camera, images and frames.
+//!
+//! Camera axes: x right, y down, z forward. Pixel centres lie at integer coordinates.
+//! Depth is in metres; 0 or a non-finite value means "no measurement".
+//! Transforms are named `a_from_b`: they map coordinates in `b` to coordinates in `a`.
+
+mod camera;
+mod distortion;
+mod frame;
+mod image;
+mod se3;
+
+pub use camera::{Camera, CameraError, Intrinsics, View};
+pub use distortion::{Distortion, UndistortionMap};
+pub use frame::{FrameIndex, RgbdFrame, has_depth};
+pub use image::{Image, ImageSizeError};
+pub use se3::{Se3, skew};
