@@ -1,1 +1,26 @@
-//! FGS-SLAM.
+//! FGS-SLAM: tracking with GICP against a sparse map and mapping with gaussian splatting, guided by
+//! a Fourier segmentation of the image.
+//!
+//! [`run`] drives a [`Tracker`] and a [`Mapper`]; both are plain structs without threads.
+
+mod config;
+pub mod frequency;
+mod keyframes;
+mod mapper;
+mod missing;
+mod observer;
+mod seeding;
+mod surface;
+mod system;
+mod tracker;
+mod view_choice;
+
+pub use config::{
+    ConfigError, Disks, KeyframeConfig, LearningRates, MappingConfig, NewPoints, SeedingConfig,
+    SlamConfig, TargetCovariance, TrackingConfig,
+};
+pub use keyframes::{Keyframe, KeyframeKind};
+pub use mapper::{Mapper, MapperError};
+pub use observer::{Observer, SlamEvent};
+pub use system::{Execution, KeyframeRecord, SlamError, SlamOutput, Timings, run};
+pub use tracker::{Tracked, Tracker, TrackingStatus};

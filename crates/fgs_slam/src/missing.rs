@@ -1,0 +1,151 @@
+//! The missing region: the pixels where the map does not show what the camera sees
+//! (paper, Sec. III-A, Eq. 9).
+//!
+//! Input: a rendered view and the frame taken there. Output: M_m = M_i | M_d | M_c. A pixel without
+//! measured depth is never missing, since nothing can be seeded there.
+
+use fgs_geom::{Image, RgbdFrame, has_depth};
+use fgs_splat::Rendered;
+
+use crate::config::SeedingConfig;
+
+/// M_m, of the frame's size.
+pub fn missing_region(
+    rendered: &Rendered,
+    frame: &RgbdFrame,
+    config: &SeedingConfig,
+) -> Image<bool> {
+    let behind_limit_m = if config.depth_mask {
+        config.depth_error_factor * median_depth_error(rendered, frame)
+    } else {
+        f32::INFINITY
+    };
+    Image::from_fn(frame.depth_m.width(), frame.depth_m.height(), |u, v| {
+        let measured_m = frame.depth_m.at(u, v);
+        if !has_depth(measured_m) {
+            return false;
+        }
+        let opaque = rendered.alpha.at(u, v) >= config.min_alpha;
+        // M_i
+        !opaque
+            // M_d: something new stands in front of what the map shows. Where alpha is too low to
+            // tell, M_i has already answered.
+            || surface_depth(rendered, u, v) - measured_m > behind_limit_m
+            // M_c
+            || (config.color_mask && color_error(rendered, frame, u, v) > config.max_color_error)
+    })
+}
+
+/// Depth of what is rendered at a pixel. Rendered depth is a sum of weights times depths; divided
+/// by the sum of weights it is a depth.
+fn surface_depth(rendered: &Rendered, u: usize, v: usize) -> f32 {
+    rendered.depth_m.at(u, v) / rendered.alpha.at(u, v)
+}
+
+fn color_error(rendered: &Rendered, frame: &RgbdFrame, u: usize, v: usize) -> f32 {
+    let (shown, seen) = (rendered.color.at(u, v), frame.color.at(u, v));
+    (0..3)
+        .map(|i| (shown[i] - f32::from(seen[i]) / 255.0).abs())
+        .sum()
+}
+
+/// The median of |rendered - measured| depth over pixels that have both; infinite without any.
+fn median_depth_error(rendered: &Rendered, frame: &RgbdFrame) -> f32 {
+    let mut errors: Vec<f32> = Vec::new();
+    for v in 0..frame.depth_m.height() {
+        for u in 0..frame.depth_m.width() {
+            let measured_m = frame.depth_m.at(u, v);
+            if has_depth(measured_m) && rendered.alpha.at(u, v) > 0.5 {
+                errors.push((surface_depth(rendered, u, v) - measured_m).abs());
+            }
+        }
+    }
+    if errors.is_empty() {
+        return f32::INFINITY;
+    }
+    let middle = errors.len() / 2;
+    *errors.select_nth_unstable_by(middle, f32::total_cmp).1
+}
+
+#[cfg(test)]
+mod tests {
+    use fgs_geom::{Camera, FrameIndex, Intrinsics};
+
+    use super::*;
+
+    const W: usize = 6;
+    const H: usize = 4;
+
+    /// A map that shows everything at 2 m in mid grey with 1 cm of error, and a frame that agrees.
+    fn agreeing() -> (Rendered, RgbdFrame) {
+        let intrinsics = Intrinsics {
+            fx: 6.0,
+            fy: 6.0,
+            cx: 2.5,
+            cy: 1.5,
+        };
+        let rendered = Rendered {
+            color: Image::filled(W, H, [100.0 / 255.0; 3]),
+            depth_m: Image::filled(W, H, 2.0 * 0.99),
+            alpha: Image::filled(W, H, 0.99),
+        };
+        let frame = RgbdFrame {
+            index: FrameIndex(0),
+            timestamp_secs: 0.0,
+            color: Image::filled(W, H, [100; 3]),
+            depth_m: Image::filled(W, H, 1.99),
+            camera: Camera::new(W, H, intrinsics).unwrap(),
+        };
+        (rendered, frame)
+    }
+
+    fn missing(rendered: &Rendered, frame: &RgbdFrame, config: &SeedingConfig) -> Vec<usize> {
+        let mask = missing_region(rendered, frame, config);
+        let hits = mask.data().iter().enumerate().filter(|(_, missing)| **missing);
+        hits.map(|(i, _)| i).collect()
+    }
+
+    #[test]
+    fn nothing_is_missing_where_map_and_frame_agree() {
+        let (rendered, frame) = agreeing();
+        assert!(missing(&rendered, &frame, &SeedingConfig::default()).is_empty());
+    }
+
+    #[test]
+    fn each_mask_finds_its_own_and_can_be_switched_off() {
+        let (mut rendered, mut frame) = agreeing();
+        rendered.alpha.set(1, 0, 0.97);
+        frame.depth_m.set(2, 1, 1.85);
+        frame.color.set(3, 2, [150, 150, 140]);
+        // In front by less than ten times the median error, behind by more, and a small change of
+        // colour: none of them missing.
+        frame.depth_m.set(4, 1, 1.92);
+        frame.depth_m.set(5, 1, 2.5);
+        frame.color.set(4, 2, [130, 130, 130]);
+        let (opacity, depth, color) = (1, W + 2, 2 * W + 3);
+        let config = SeedingConfig::default();
+        assert_eq!(missing(&rendered, &frame, &config), [opacity, depth, color]);
+        let config = SeedingConfig {
+            color_mask: false,
+            ..config
+        };
+        assert_eq!(missing(&rendered, &frame, &config), [opacity, depth]);
+        let config = SeedingConfig {
+            depth_mask: false,
+            ..config
+        };
+        assert_eq!(missing(&rendered, &frame, &config), [opacity]);
+    }
+
+    #[test]
+    fn nothing_is_missing_without_measured_depth() {
+        let (mut rendered, mut frame) = agreeing();
+        rendered.alpha = Image::filled(W, H, 0.0);
+        rendered.depth_m = Image::filled(W, H, 0.0);
+        frame.depth_m.set(0, 0, 0.0);
+        frame.depth_m.set(1, 0, f32::NAN);
+        let mask = missing_region(&rendered, &frame, &SeedingConfig::default());
+        assert_eq!(mask.data().iter().filter(|m| **m).count(), W * H - 2);
+        assert!(!mask.at(0, 0) && !mask.at(1, 0));
+    }
+}

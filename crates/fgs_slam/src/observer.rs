@@ -1,0 +1,39 @@
+//! What the outside may see of a run while it runs: progress bars and viewers implement
+//! [`Observer`].
+
+use crate::keyframes::KeyframeKind;
+use crate::tracker::Tracked;
+
+/// Something that happened.
+#[derive(Debug)]
+pub enum SlamEvent<'a> {
+    /// A frame was tracked or lost.
+    Frame {
+        /// The result.
+        tracked: &'a Tracked,
+        /// What the frame became.
+        keyframe: Option<KeyframeKind>,
+        /// Gaussians in the map, as far as known.
+        num_gaussians: usize,
+        /// Optimisation steps so far, as far as known.
+        steps: usize,
+    },
+    /// A frame could not be read and was skipped.
+    Damaged {
+        /// Why.
+        error: &'a (dyn std::error::Error + 'static),
+    },
+    /// A frame came too late in real time and was dropped.
+    Dropped,
+}
+
+/// Sees every event, on the thread that tracks.
+pub trait Observer {
+    /// Called for each event in its order.
+    fn on(&mut self, event: &SlamEvent<'_>);
+}
+
+/// An observer that does nothing.
+impl Observer for () {
+    fn on(&mut self, _: &SlamEvent<'_>) {}
+}
