@@ -1,0 +1,111 @@
+//! The covariance of a point: a symmetric 3x3 matrix, kept as six `f32`.
+//!
+//! GICP (Segal et al. 2009) gives each point the covariance of the surface patch it stands for:
+//! wide in the tangent plane, thin along the normal. Only its shape matters, so it is scaled to a
+//! middle eigenvalue of 1 (paper Sec. III-B) and floored, which keeps every sum invertible.
+
+use nalgebra::{Matrix3, SymmetricEigen, Vector3};
+
+/// The smallest eigenvalue of a covariance whose middle one is 1: the square of how much thinner
+/// than wide a patch may be. The value of GICP and of the paper.
+pub const MIN_EIGENVALUE: f64 = 1e-3;
+
+/// A symmetric positive definite 3x3 matrix.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Covariance {
+    /// `[xx, xy, xz, yy, yz, zz]`.
+    upper: [f32; 6],
+}
+
+impl Covariance {
+    /// The same in all directions: turns the factor into point-to-point ICP.
+    pub fn isotropic() -> Self {
+        Self {
+            upper: [1.0, 0.0, 0.0, 1.0, 0.0, 1.0],
+        }
+    }
+
+    /// A disk: variance 1 across and `thickness` along the unit vector `normal`.
+    pub fn disk(normal: &Vector3<f64>, thickness: f64) -> Self {
+        let n = normal;
+        let k = thickness - 1.0;
+        let upper = [
+            1.0 + k * n.x * n.x,
+            k * n.x * n.y,
+            k * n.x * n.z,
+            1.0 + k * n.y * n.y,
+            k * n.y * n.z,
+            1.0 + k * n.z * n.z,
+        ];
+        Self {
+            upper: upper.map(|value| value as f32),
+        }
+    }
+
+    /// The shape of any symmetric matrix: eigenvalues divided by the middle one and floored at
+    /// [`MIN_EIGENVALUE`]. `None` if a value is not finite or the matrix has rank below two, so
+    /// that it describes no surface.
+    pub fn regularized(matrix: &Matrix3<f64>) -> Option<Self> {
+        let scale = matrix.amax();
+        if !scale.is_finite() || scale <= 0.0 || matrix.iter().any(|value| !value.is_finite()) {
+            return None;
+        }
+        let eigen = SymmetricEigen::new(matrix / scale);
+        let mut sorted = eigen.eigenvalues;
+        sorted.as_mut_slice().sort_by(f64::total_cmp);
+        let middle = sorted[1];
+        // Below this share of the largest entry the middle eigenvalue is rounding error.
+        if middle <= 1e-9 {
+            return None;
+        }
+        let values = eigen
+            .eigenvalues
+            .map(|value| (value / middle).max(MIN_EIGENVALUE));
+        let axes = eigen.eigenvectors;
+        Some(Self::from_matrix(
+            &(axes * Matrix3::from_diagonal(&values) * axes.transpose()),
+        ))
+    }
+
+    /// The symmetric matrix whose upper triangle is that of `matrix`, unchanged. The caller sees to
+    /// it that it is positive definite.
+    pub fn from_matrix(matrix: &Matrix3<f64>) -> Self {
+        let m = matrix;
+        let upper = [
+            m[(0, 0)],
+            m[(0, 1)],
+            m[(0, 2)],
+            m[(1, 1)],
+            m[(1, 2)],
+            m[(2, 2)],
+        ];
+        Self {
+            upper: upper.map(|value| value as f32),
+        }
+    }
+
+    /// The same matrix times a number.
+    pub fn scaled(&self, factor: f64) -> Self {
+        Self {
+            upper: self.upper.map(|value| (f64::from(value) * factor) as f32),
+        }
+    }
+
+    /// Whether every entry is finite.
+    pub fn is_finite(&self) -> bool {
+        self.upper.iter().all(|value| value.is_finite())
+    }
+
+    /// The full matrix.
+    #[inline]
+    pub fn matrix(&self) -> Matrix3<f64> {
+        let [xx, xy, xz, yy, yz, zz] = self.upper.map(f64::from);
+        Matrix3::new(xx, xy, xz, xy, yy, yz, xz, yz, zz)
+    }
+
+    /// The covariance of the same patch after `rotation`: R C R^T.
+    #[inline]
+    pub fn rotated(&self, rotation: &Matrix3<f64>) -> Self {
+        Self::from_matrix(&(rotation * self.matrix() * rotation.transpose()))
+    }
+}

@@ -1,0 +1,31 @@
+//! A point with the covariance of the surface patch it stands for.
+
+use fgs_geom::Se3;
+use nalgebra::Vector3;
+
+use crate::Covariance;
+
+/// A point of a registration's source or target.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Point {
+    /// Metres. `f32` rounds to 1 um at 10 m, well below any depth sensor's step.
+    pub position: Vector3<f32>,
+    /// Shape of the surface around it, in the same axes.
+    pub covariance: Covariance,
+}
+
+impl Point {
+    /// The same patch in the axes of `a`.
+    pub fn transformed(&self, a_from_b: &Se3) -> Self {
+        let rotation = a_from_b.rotation.to_rotation_matrix().into_inner();
+        Self {
+            position: a_from_b.transform(&self.position.cast()).cast(),
+            covariance: self.covariance.rotated(&rotation),
+        }
+    }
+
+    /// Whether the position and covariance are finite.
+    pub fn is_finite(&self) -> bool {
+        self.position.iter().all(|value| value.is_finite()) && self.covariance.is_finite()
+    }
+}

@@ -1,0 +1,155 @@
+//! Registration by Gauss-Newton with correspondences searched again at every linearisation
+//! (paper Sec. III-B).
+//!
+//! Plain Gauss-Newton rather than Levenberg-Marquardt: the pairs change with every step, so a
+//! cost compared across steps is not the cost that was minimised; the covariances' floor keeps the
+//! system well-posed even on a single plane; and steps are centimetres at most, where the
+//! linearisation holds.
+//! Invariant: the result is the same, bit for bit, for any number of threads.
+
+use fgs_geom::Se3;
+use nalgebra::{Matrix3, Vector3};
+use rayon::prelude::*;
+
+use crate::registration::{AlignError, Alignment, Conditioning, Factor, LinearSystem, Settings};
+use crate::{MIN_EIGENVALUE, Point, PointMap};
+
+/// Points summed up by one task. Fixed, so that sums do not depend on the number of threads.
+const CHUNK_POINTS: usize = 1024;
+
+/// Three points off a line determine a motion.
+const MIN_PAIRS: usize = 3;
+
+/// The motion `target_from_source` that lays the source onto the target, sought from `initial`.
+/// Not converging is no error: see [`Alignment::converged`].
+///
+/// # Errors
+/// Empty or non-finite input, and pairs that determine no motion.
+pub fn align(
+    source: &[Point],
+    target: &PointMap,
+    initial: &Se3,
+    settings: &Settings,
+) -> Result<Alignment, AlignError> {
+    check(source, target, initial)?;
+    let mut target_from_source = *initial;
+    let mut iterations = 0;
+    loop {
+        let system = linearize(source, target, &target_from_source, settings);
+        iterations += 1;
+        if system.pairs < MIN_PAIRS {
+            return Err(AlignError::TooFewPairs {
+                pairs: system.pairs,
+                points: source.len(),
+                max_distance_m: settings.max_correspondence_distance_m,
+            });
+        }
+        let undetermined = AlignError::Undetermined {
+            pairs: system.pairs,
+        };
+        let Some(cholesky) = system.hessian.cholesky() else {
+            return Err(undetermined);
+        };
+        let step = -cholesky.solve(&system.gradient);
+        if !step.iter().all(|value| value.is_finite()) {
+            return Err(undetermined);
+        }
+        target_from_source = (target_from_source * Se3::exp(&step)).renormalized();
+        let converged = step.fixed_rows::<3>(0).norm() <= settings.rotation_epsilon_rad
+            && step.fixed_rows::<3>(3).norm() <= settings.translation_epsilon_m;
+        if converged || iterations >= settings.max_iterations {
+            let (centroid, radius_m) = extent(source);
+            return Ok(Alignment {
+                target_from_source,
+                converged,
+                iterations,
+                inliers: system.pairs,
+                inlier_share: system.pairs as f64 / source.len() as f64,
+                rms_residual_m: (system.squared_residual / system.weight).sqrt(),
+                conditioning: Conditioning::new(&system.hessian, &centroid, radius_m),
+                hessian: system.hessian,
+            });
+        }
+    }
+}
+
+fn check(source: &[Point], target: &PointMap, initial: &Se3) -> Result<(), AlignError> {
+    if source.is_empty() {
+        return Err(AlignError::EmptySource);
+    }
+    if target.is_empty() {
+        return Err(AlignError::EmptyTarget);
+    }
+    if let Some(index) = source.iter().position(|point| !point.is_finite()) {
+        return Err(AlignError::NonFiniteSource { index });
+    }
+    if !initial.matrix().iter().all(|value| value.is_finite()) {
+        return Err(AlignError::NonFiniteStart);
+    }
+    Ok(())
+}
+
+/// The normal equations at a pose.
+fn linearize(
+    source: &[Point],
+    target: &PointMap,
+    target_from_source: &Se3,
+    settings: &Settings,
+) -> LinearSystem {
+    let rotation = target_from_source
+        .rotation
+        .to_rotation_matrix()
+        .into_inner();
+    let translation = target_from_source.translation;
+    let partial: Vec<LinearSystem> = source
+        .par_chunks(CHUNK_POINTS)
+        .map(|chunk| linearize_chunk(chunk, target, &rotation, &translation, settings))
+        .collect();
+    let mut system = LinearSystem::zero();
+    partial.iter().for_each(|part| system += part);
+    system
+}
+
+fn linearize_chunk(
+    source: &[Point],
+    target: &PointMap,
+    rotation: &Matrix3<f64>,
+    translation: &Vector3<f64>,
+    settings: &Settings,
+) -> LinearSystem {
+    let mut system = LinearSystem::zero();
+    for point in source {
+        let p = point.position.cast::<f64>();
+        let query = (rotation * p + translation).cast::<f32>();
+        let Some(neighbor) = target.nearest(&query, settings.max_correspondence_distance_m) else {
+            continue;
+        };
+        let Some(factor) = Factor::new(
+            &p,
+            &point.covariance.matrix(),
+            &neighbor.point.position.cast(),
+            &neighbor.point.covariance.matrix(),
+            rotation,
+            translation,
+        ) else {
+            continue;
+        };
+        // Two facing disks give along their normal 1 / (2 MIN_EIGENVALUE): as metres.
+        let squared_residual = factor.cost() * 2.0 * MIN_EIGENVALUE;
+        let weight = settings.kernel.weight(squared_residual);
+        system.add(&p, &factor, weight, squared_residual);
+    }
+    system
+}
+
+/// Mean of the points and their root mean square distance from it.
+fn extent(source: &[Point]) -> (Vector3<f64>, f64) {
+    let n = source.len() as f64;
+    let positions = source.iter().map(|point| point.position.cast::<f64>());
+    let centroid = positions.clone().sum::<Vector3<f64>>() / n;
+    let variance = positions
+        .map(|p| (p - centroid).norm_squared())
+        .sum::<f64>()
+        / n;
+    (centroid, variance.sqrt())
+}

@@ -1,0 +1,95 @@
+//! What a registration found, and how far it is to be trusted.
+
+use fgs_geom::Se3;
+use nalgebra::{Matrix3, Matrix6, SymmetricEigen, Vector3, Vector6};
+use thiserror::Error;
+
+/// The result of a registration.
+#[derive(Clone, Debug)]
+pub struct Alignment {
+    /// Maps source points to the target.
+    pub target_from_source: Se3,
+    /// Whether the last step was below the settings' epsilons.
+    pub converged: bool,
+    /// Number of linearisations.
+    pub iterations: usize,
+    /// Number of source points with a target point within the correspondence distance.
+    pub inliers: usize,
+    /// `inliers` over the number of source points.
+    pub inlier_share: f64,
+    /// Root of the weighted mean squared residual, mostly along the surfaces' normals, metres.
+    pub rms_residual_m: f64,
+    /// Sum of J^T M J at the result, tangent `[omega, v]` in the source's axes.
+    pub hessian: Matrix6<f64>,
+    /// How well the pairs hold the motion.
+    pub conditioning: Conditioning,
+}
+
+/// How well the pairs hold the weakest of all motions.
+#[derive(Clone, Copy, Debug)]
+pub struct Conditioning {
+    /// Smallest over largest eigenvalue of the Hessian about the source's centroid, with rotation
+    /// measured as the arc at the points' root mean square distance from it: 1 means that all
+    /// motions are held alike; a plane gives about the covariances' smallest eigenvalue.
+    pub weakest: f64,
+    /// The unit motion held least, `[omega, v]` about the centroid in the source's axes, rotation
+    /// measured as that arc.
+    pub weakest_motion: Vector6<f64>,
+}
+
+impl Conditioning {
+    /// Of a Hessian whose source points have this mean and root mean square distance from it.
+    pub(crate) fn new(hessian: &Matrix6<f64>, centroid: &Vector3<f64>, radius_m: f64) -> Self {
+        // A motion [w, v] about the centroid is [w, v - w x c] about the origin.
+        let mut origin_from_centroid = Matrix6::identity();
+        let turn_to_shift: Matrix3<f64> = fgs_geom::skew(centroid);
+        origin_from_centroid
+            .fixed_view_mut::<3, 3>(3, 0)
+            .copy_from(&turn_to_shift);
+        let arc = 1.0 / radius_m.max(f64::MIN_POSITIVE);
+        let scale = Matrix6::from_diagonal(&Vector6::new(arc, arc, arc, 1.0, 1.0, 1.0));
+        let motion = origin_from_centroid * scale;
+        let eigen = SymmetricEigen::new(motion.transpose() * hessian * motion);
+        let weakest = eigen.eigenvalues.imin();
+        Self {
+            weakest: (eigen.eigenvalues[weakest] / eigen.eigenvalues.max()).max(0.0),
+            weakest_motion: eigen.eigenvectors.column(weakest).into_owned(),
+        }
+    }
+}
+
+/// Why there is no alignment.
+#[derive(Clone, Debug, Error, PartialEq)]
+pub enum AlignError {
+    /// No source points.
+    #[error("the source has no points")]
+    EmptySource,
+    /// No target points.
+    #[error("the target has no points")]
+    EmptyTarget,
+    /// A source point that is no number.
+    #[error("source point {index} is not finite")]
+    NonFiniteSource {
+        /// Its index.
+        index: usize,
+    },
+    /// A start that is no number.
+    #[error("the initial pose is not finite")]
+    NonFiniteStart,
+    /// The pairs do not hold all six degrees of freedom.
+    #[error("only {pairs} of {points} source points have a target point within {max_distance_m} m")]
+    TooFewPairs {
+        /// Pairs found.
+        pairs: usize,
+        /// Source points.
+        points: usize,
+        /// The correspondence distance.
+        max_distance_m: f32,
+    },
+    /// The normal equations have no solution.
+    #[error("{pairs} pairs do not determine the motion")]
+    Undetermined {
+        /// Pairs found.
+        pairs: usize,
+    },
+}

@@ -1,0 +1,13 @@
+//! Finding the motion between a source and a target.
+
+mod align;
+mod alignment;
+mod factor;
+mod linear_system;
+mod settings;
+
+pub use align::align;
+pub use alignment::{AlignError, Alignment, Conditioning};
+pub use factor::Factor;
+pub use linear_system::LinearSystem;
+pub use settings::{Kernel, Settings};

@@ -1,0 +1,7 @@
+//! Where points and their covariances come from.
+
+mod depth_grid;
+mod neighbors;
+
+pub use depth_grid::{DepthGrid, SurfacePoint};
+pub use neighbors::covariances_from_neighbors;
