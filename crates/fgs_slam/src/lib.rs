@@ -1,1 +1,3 @@
 //! FGS-SLAM.
+
+pub mod frequency;
