@@ -3,12 +3,12 @@
 
 use fgs_geom::{Camera, FrameIndex, Image, View};
 use fgs_splat::{
-    AdamSettings, GaussianModel, LossSettings, ModelError, ModelSettings, PruneRule, Rendered,
+    AdamSettings, GaussianModel, Gaussians, LossSettings, ModelError, ModelSettings, PruneRule, Rendered,
     SparseChanges, StepStats, Target, ViewId,
 };
 
 use crate::config::{MappingConfig, NewPoints, SlamConfig};
-use crate::frequency::FrequencySegmenter;
+use crate::frequency::{FrequencySegmenter, FrequencySettings};
 use crate::keyframes::{Keyframe, NewPoint};
 use crate::missing::missing_region;
 use crate::seeding::Seeder;
@@ -60,7 +60,13 @@ impl<M: GaussianModel> Mapper<M> {
     pub fn new(model: M, camera: &Camera, config: &SlamConfig) -> Self {
         Self {
             model,
-            segmenter: FrequencySegmenter::new(camera.width, camera.height, config.seeding.clahe),
+            segmenter: FrequencySegmenter::new(
+                camera.width,
+                camera.height,
+                FrequencySettings {
+                    clahe: config.seeding.clahe,
+                },
+            ),
             choice: ViewChoice::new(config.seed, config.mapping.covisible_probability),
             views: Vec::new(),
             steps: 0,
@@ -158,9 +164,9 @@ impl<M: GaussianModel> Mapper<M> {
         self.model.render(view)
     }
 
-    /// The model, at the end of a run.
-    pub fn into_model(self) -> M {
-        self.model
+    /// A copy of the map.
+    pub fn gaussians(&mut self) -> Gaussians {
+        self.model.gaussians()
     }
 
     fn admit(&mut self, new_points: &[NewPoint], missing: &Image<bool>) -> Vec<NewPoint> {

@@ -135,7 +135,7 @@ pub fn run<E: Error + 'static>(
             mapping: worker.busy,
             steps: worker.mapper.steps(),
         },
-        gaussians: worker.mapper.take_gaussians(),
+        gaussians: worker.mapper.gaussians(),
     })
 }
 

@@ -1,0 +1,70 @@
+//! Borders by reflection without repeating the edge pixel: `gfedcb|abcdefgh|gfedcba`
+//! (OpenCV's BORDER_REFLECT_101).
+
+use fgs_geom::Image;
+
+/// Pixels to add on each side.
+#[derive(Clone, Copy)]
+pub(super) struct Border {
+    pub left: usize,
+    pub top: usize,
+    pub right: usize,
+    pub bottom: usize,
+}
+
+/// The image with a reflected border. A border wider than the image is reflected again and again.
+/// An image without pixels stays as it is.
+pub(super) fn reflect(image: &Image<u8>, border: Border) -> Image<u8> {
+    let (width, height) = (image.width(), image.height());
+    if width == 0 || height == 0 {
+        return image.clone();
+    }
+    let source_column: Vec<usize> = (0..border.left + width + border.right)
+        .map(|u| reflected_index(u, border.left, width))
+        .collect();
+    let source_row = |v| reflected_index(v, border.top, height);
+    Image::from_fn(
+        source_column.len(),
+        border.top + height + border.bottom,
+        |u, v| image.at(source_column[u], source_row(v)),
+    )
+}
+
+/// The index in `0..len` seen at `index - offset`.
+fn reflected_index(index: usize, offset: usize, len: usize) -> usize {
+    let period = 2 * (len - 1).max(1);
+    let phase = (index as isize - offset as isize).rem_euclid(period as isize) as usize;
+    phase.min(period - phase).min(len - 1)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_edge_is_not_repeated() {
+        let image = Image::new(3, 2, vec![1, 2, 3, 4, 5, 6]).unwrap();
+        let border = Border {
+            left: 2,
+            top: 1,
+            right: 3,
+            bottom: 0,
+        };
+        let reflected = reflect(&image, border);
+        assert_eq!(reflected.row(0), &[6, 5, 4, 5, 6, 5, 4, 5]);
+        assert_eq!(reflected.row(1), &[3, 2, 1, 2, 3, 2, 1, 2]);
+        assert_eq!((reflected.width(), reflected.height()), (8, 3));
+    }
+
+    #[test]
+    fn a_single_pixel_fills_its_border() {
+        let border = Border {
+            left: 3,
+            top: 2,
+            right: 1,
+            bottom: 4,
+        };
+        let reflected = reflect(&Image::filled(1, 1, 7), border);
+        assert_eq!(reflected, Image::filled(5, 7, 7));
+    }
+}

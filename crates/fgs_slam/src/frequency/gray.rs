@@ -1,0 +1,39 @@
+//! Grey from RGB with the weights of ITU-R BT.601 (0.299, 0.587, 0.114) in fixed point, equal to
+//! OpenCV's RGB2GRAY on 8-bit images.
+
+use fgs_geom::Image;
+
+/// The weights times 2^15. They add up to 2^15, so white stays 255.
+const WEIGHTS: [u32; 3] = [9798, 19235, 3735];
+
+/// 8-bit grey, rounded to nearest.
+pub(super) fn gray_from_color(color: &Image<[u8; 3]>) -> Image<u8> {
+    color.map(|&[r, g, b]| {
+        let [r, g, b] = [r, g, b].map(u32::from);
+        ((WEIGHTS[0] * r + WEIGHTS[1] * g + WEIGHTS[2] * b + (1 << 14)) >> 15) as u8
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Expected values from `cv2.cvtColor(..., cv2.COLOR_RGB2GRAY)`.
+    #[test]
+    fn equals_opencv() {
+        let expected = [
+            ([255, 255, 255], 255),
+            ([255, 0, 0], 76),
+            ([0, 255, 0], 150),
+            ([0, 0, 255], 29),
+            ([1, 2, 3], 2),
+            ([200, 10, 77], 74),
+            ([0, 128, 1], 75),
+            ([17, 230, 99], 151),
+            ([254, 1, 128], 91),
+        ];
+        for (color, gray) in expected {
+            assert_eq!(gray_from_color(&Image::filled(1, 1, color)).at(0, 0), gray);
+        }
+    }
+}

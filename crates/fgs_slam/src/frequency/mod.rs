@@ -1,0 +1,198 @@
+//! Where an image is rich in detail: the Fourier segmentation (Sec. III-A, Eq. 2 to 8).
+//!
+//! In: a colour or grey image. Out: the mask `M_h` of the pixels whose high-frequency response
+//! stands out; `M_l` is its complement. Steps: grey, reflected border, optional local equalisation
+//! ([`clahe`]), gaussian [`high_pass`], absolute value, [`triangle`] threshold.
+//! Differs from the paper: the equalisation is a choice; the filter keeps zero frequency in bin 0
+//! instead of shifting the spectrum to and fro, which is wrong for odd sizes.
+
+mod border;
+mod clahe;
+mod gray;
+mod high_pass;
+mod triangle;
+
+use fgs_geom::Image;
+
+use border::{Border, reflect};
+use high_pass::HighPass;
+
+/// Pixels of reflected border, so that the filter, periodic by nature, does not meet the opposite
+/// edge of the image (the authors' value).
+const PADDING: usize = 10;
+
+/// D0 is the shorter side over this (the authors' value): 24 bins at 640x480.
+const SHORTER_SIDE_PER_CUTOFF_BIN: usize = 20;
+
+/// A response that varies less than this many grey levels is rounding, not structure: one pixel one
+/// level off stands out by almost 1, and single precision is good to about 1e-3.
+const MIN_RESPONSE_RANGE: f32 = 0.01;
+
+/// What can be chosen about the segmentation.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct FrequencySettings {
+    /// Equalise the image locally (contrast-limited, clip 2.0, a grid of 32x32 tiles) beforehand.
+    pub clahe: bool,
+}
+
+/// Segments images of one size; the transforms are planned once.
+pub struct FrequencySegmenter {
+    width: usize,
+    height: usize,
+    settings: FrequencySettings,
+    high_pass: HighPass<f32>,
+}
+
+impl FrequencySegmenter {
+    /// For images of `width` x `height` pixels.
+    pub fn new(width: usize, height: usize, settings: FrequencySettings) -> Self {
+        Self {
+            width,
+            height,
+            settings,
+            high_pass: HighPass::new(
+                width + 2 * PADDING,
+                height + 2 * PADDING,
+                width.min(height) / SHORTER_SIDE_PER_CUTOFF_BIN,
+            ),
+        }
+    }
+
+    /// The mask `M_h` of a colour image: true where the response lies strictly above the triangle
+    /// threshold, nowhere if the image is constant. An image of another size than planned for is
+    /// planned for anew.
+    pub fn segment(&mut self, color: &Image<[u8; 3]>) -> Image<bool> {
+        self.segment_gray(&gray::gray_from_color(color))
+    }
+
+    /// [`segment`](Self::segment) for an image that is grey already.
+    pub fn segment_gray(&mut self, gray: &Image<u8>) -> Image<bool> {
+        if (gray.width(), gray.height()) != (self.width, self.height) {
+            *self = Self::new(gray.width(), gray.height(), self.settings);
+        }
+        if gray.data().is_empty() {
+            return gray.map(|_| false);
+        }
+        let levels = levels_from_response(&self.response(gray));
+        let mut histogram = [0; 256];
+        for &level in levels.data() {
+            histogram[usize::from(level)] += 1;
+        }
+        let threshold = triangle::triangle_threshold(&histogram);
+        levels.map(|&level| i32::from(level) > threshold)
+    }
+
+    /// The absolute high-frequency response at each pixel, in grey levels.
+    fn response(&mut self, gray: &Image<u8>) -> Image<f32> {
+        let mut padded = reflect(
+            gray,
+            Border {
+                left: PADDING,
+                top: PADDING,
+                right: PADDING,
+                bottom: PADDING,
+            },
+        );
+        if self.settings.clahe {
+            padded = clahe::equalize(&padded);
+        }
+        let padded = padded.map(|&level| f32::from(level));
+        let filtered = self.high_pass.apply(padded.data());
+        Image::from_fn(gray.width(), gray.height(), |u, v| {
+            filtered[(v + PADDING) * padded.width() + u + PADDING].abs()
+        })
+    }
+}
+
+/// The response scaled to 0..=255; all zero if it is constant.
+fn levels_from_response(response: &Image<f32>) -> Image<u8> {
+    let (mut min, mut max) = (f32::INFINITY, f32::NEG_INFINITY);
+    for &value in response.data() {
+        (min, max) = (min.min(value), max.max(value));
+    }
+    if max - min < MIN_RESPONSE_RANGE {
+        return response.map(|_| 0);
+    }
+    response.map(|&value| (255.0 * (value - min) / (max - min)).round_ties_even() as u8)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn segmenter(clahe: bool) -> FrequencySegmenter {
+        FrequencySegmenter::new(0, 0, FrequencySettings { clahe })
+    }
+
+    /// Flat but for a patch of fine checks.
+    fn checks(width: usize, height: usize) -> Image<u8> {
+        Image::from_fn(width, height, |u, v| {
+            let patch = u >= width / 2 && v >= height / 2;
+            if patch && (u + v) % 2 == 0 { 180 } else { 100 }
+        })
+    }
+
+    #[test]
+    fn fine_checks_are_high_frequency_and_the_wall_is_not() {
+        let mask = segmenter(false).segment_gray(&checks(120, 90));
+        let share = |columns: std::ops::Range<usize>, rows: std::ops::Range<usize>| {
+            let area = columns.len() * rows.len();
+            let high = rows.map(|v| mask.row(v)[columns.clone()].iter().filter(|&&m| m).count());
+            high.sum::<usize>() as f64 / area as f64
+        };
+        assert_eq!(share(70..110, 55..80), 1.0);
+        assert_eq!(share(0..40, 0..90), 0.0);
+        assert_eq!(share(0..120, 0..30), 0.0);
+    }
+
+    #[test]
+    fn a_constant_image_has_no_high_frequencies() {
+        for clahe in [false, true] {
+            for (width, height) in [(1, 1), (2, 1), (64, 48), (333, 215), (640, 480)] {
+                for level in [0, 1, 77, 255] {
+                    let mask = segmenter(clahe).segment_gray(&Image::filled(width, height, level));
+                    assert_eq!(mask, Image::filled(width, height, false));
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn one_odd_pixel_is_enough() {
+        let mut image = Image::filled(640, 480, 255);
+        image.set(400, 100, 254);
+        let mask = segmenter(false).segment_gray(&image);
+        assert!(mask.at(400, 100));
+        assert!(mask.data().iter().filter(|&&high| high).count() <= 1000);
+    }
+
+    #[test]
+    fn images_of_any_size_are_segmented() {
+        for clahe in [false, true] {
+            for (width, height) in [(0, 0), (0, 5), (1, 1), (1, 30), (5, 3), (11, 10), (19, 40)] {
+                let mask = segmenter(clahe).segment_gray(&checks(width, height));
+                assert_eq!((mask.width(), mask.height()), (width, height));
+            }
+        }
+    }
+
+    #[test]
+    fn color_is_segmented_by_its_gray() {
+        let color = Image::from_fn(90, 70, |u, v| [(u * v % 251) as u8, (u * u) as u8, v as u8]);
+        let mask = segmenter(true).segment(&color);
+        let expected = segmenter(true).segment_gray(&gray::gray_from_color(&color));
+        assert_eq!(mask, expected);
+        assert!(mask.data().contains(&true) && mask.data().contains(&false));
+    }
+
+    #[test]
+    fn a_planned_segmenter_takes_images_of_another_size() {
+        let mut planned = FrequencySegmenter::new(200, 100, FrequencySettings { clahe: false });
+        planned.segment_gray(&checks(200, 100));
+        let image = checks(77, 130);
+        assert_eq!(
+            planned.segment_gray(&image),
+            segmenter(false).segment_gray(&image)
+        );
+    }
+}
