@@ -2,5 +2,7 @@
 //! Adam, and PLY files. Knows nothing of SLAM.
 
 mod gaussians;
+mod losses;
 
 pub use gaussians::{Gaussians, SH0_FACTOR};
+pub use losses::{ImageLoss, LossError, LossSettings, Target, photometric_loss, scale_regularizer};
