@@ -165,7 +165,7 @@ impl<M: GaussianModel> Mapper<M> {
         match self.config.keyframes.new_points {
             NewPoints::Distance => new_points.to_vec(),
             NewPoints::Mask => {
-                let (admitted, refused): (Vec<_>, Vec<_>) =
+                let (admitted, refused): (Vec<NewPoint>, Vec<NewPoint>) =
                     new_points.iter().partition(|p| missing.at(p.u, p.v));
                 self.refused.extend(refused.iter().map(|p| p.id));
                 admitted

@@ -8,9 +8,10 @@
 //! a gaussian that is not touched rests, moments included. A gaussian out of view would otherwise
 //! drift after the last view that saw it, and a step would cost the size of the map.
 
-use crate::Gaussians;
+use crate::{GaussianGradients, Gaussians};
 use crate::gaussians::retain;
 use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
 /// Decay of the first moment (Kingma and Ba 2015).
@@ -24,7 +25,8 @@ const EPSILON: f32 = 1e-15;
 const CHUNK: usize = 4096;
 
 /// Step sizes: how far a parameter moves in a step with a steady gradient.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
 pub struct LearningRates {
     /// Of the centres, metres.
     pub means: f32,
@@ -109,7 +111,7 @@ impl Adam {
         retain(&mut self.steps, keep);
     }
 
-    /// Moves the gaussians in `touched` (ascending indices) against their gradients.
+    /// Moves the gaussians that the gradients touch against them.
     ///
     /// A gaussian with a gradient entry that is not finite, or whose square overflows, rests with
     /// its state. Returns how many did.
@@ -119,16 +121,16 @@ impl Adam {
     pub fn step(
         &mut self,
         gaussians: &mut Gaussians,
-        gradients: &Gaussians,
-        touched: &[u32],
+        gradients: &GaussianGradients,
         rates: &LearningRates,
     ) -> Result<usize, AdamError> {
+        let touched = &gradients.touched;
         let len = self.len();
-        if (gaussians.len(), gradients.len()) != (len, len) {
+        if (gaussians.len(), gradients.d_means.len()) != (len, len) {
             return Err(AdamError::Length {
                 adam: len,
                 gaussians: gaussians.len(),
-                gradients: gradients.len(),
+                gradients: gradients.d_means.len(),
             });
         }
         let ascending = touched.is_sorted_by(|a, b| a < b);
@@ -155,35 +157,35 @@ impl Adam {
         update.run(
             rates.means,
             &mut gaussians.means,
-            &gradients.means,
+            &gradients.d_means,
             &mut first.means,
             &mut second.means,
         );
         update.run(
             rates.quats,
             &mut gaussians.quats,
-            &gradients.quats,
+            &gradients.d_quats,
             &mut first.quats,
             &mut second.quats,
         );
         update.run(
             rates.log_scales,
             &mut gaussians.log_scales,
-            &gradients.log_scales,
+            &gradients.d_log_scales,
             &mut first.log_scales,
             &mut second.log_scales,
         );
         update.run(
             rates.opacity_logits,
             gaussians.opacity_logits.as_chunks_mut::<1>().0,
-            gradients.opacity_logits.as_chunks::<1>().0,
+            gradients.d_opacity_logits.as_chunks::<1>().0,
             first.opacity_logits.as_chunks_mut::<1>().0,
             second.opacity_logits.as_chunks_mut::<1>().0,
         );
         update.run(
             rates.sh,
             &mut gaussians.sh,
-            &gradients.sh,
+            &gradients.d_sh,
             &mut first.sh,
             &mut second.sh,
         );
@@ -192,13 +194,13 @@ impl Adam {
 }
 
 /// Whether all gradients of gaussian i, and their squares, are finite.
-fn is_usable(gradients: &Gaussians, i: usize) -> bool {
+fn is_usable(gradients: &GaussianGradients, i: usize) -> bool {
     let usable = |values: &[f32]| values.iter().all(|g| (g * g).is_finite());
-    usable(&gradients.means[i])
-        && usable(&gradients.quats[i])
-        && usable(&gradients.log_scales[i])
-        && usable(&[gradients.opacity_logits[i]])
-        && usable(&gradients.sh[i])
+    usable(&gradients.d_means[i])
+        && usable(&gradients.d_quats[i])
+        && usable(&gradients.d_log_scales[i])
+        && usable(&[gradients.d_opacity_logits[i]])
+        && usable(&gradients.d_sh[i])
 }
 
 /// What the parameters' arrays have in common: the ascending indices of the gaussians to move, and

@@ -151,29 +151,26 @@ impl GaussianModel for CpuModel {
             d_alpha: loss.d_alpha,
         };
         pass.vjp(&cotangents, &mut self.gradients);
-        let touched = std::mem::take(&mut self.gradients.touched);
-        let regularizer = self.add_regularizer(&touched);
-        let skipped_gradients = self.adam.step(
-            &mut self.gaussians,
-            &self.gradients,
-            &touched,
-            &self.settings.learning_rates,
-        )?;
-        for &index in &touched {
+        let touched = &self.gradients.touched;
+        training.visible = VisibleSet::from_indices(touched);
+        for &index in touched {
             if self.sparse_ids[index as usize].is_some() {
                 self.moved.insert(index as usize);
             }
         }
-        if let Some(training) = self.views.get_mut(&id) {
-            training.visible = VisibleSet::from_indices(&touched);
-        }
+        let visible = touched.len();
+        let regularizer = self.add_regularizer();
+        let skipped_gradients = self.adam.step(
+            &mut self.gaussians,
+            &self.gradients,
+            &self.settings.learning_rates,
+        )?;
         self.stats.push(StepStats {
             view: id,
             loss: (loss.total + regularizer) as f32,
-            visible: touched.len(),
+            visible,
             skipped_gradients,
         });
-        self.gradients.touched = touched;
         Ok(())
     }
 
@@ -208,12 +205,17 @@ impl GaussianModel for CpuModel {
 }
 
 impl CpuModel {
-    /// Adds the regulariser's gradient; returns its share of the loss.
-    fn add_regularizer(&mut self, in_view: &[u32]) -> f64 {
+    /// Adds the regulariser's gradient for the touched gaussians; returns its share of the loss.
+    fn add_regularizer(&mut self) -> f64 {
         let weight = self.settings.loss.scale_weight;
-        let (value, d_log_scales) = scale_regularizer(&self.gaussians, in_view);
-        for (index, d_log_scale) in in_view.iter().zip(d_log_scales) {
-            let sum = &mut self.gradients.d_log_scales[*index as usize];
+        let GaussianGradients {
+            touched,
+            d_log_scales: sums,
+            ..
+        } = &mut self.gradients;
+        let (value, d_log_scales) = scale_regularizer(&self.gaussians, touched);
+        for (index, d_log_scale) in touched.iter().zip(d_log_scales) {
+            let sum = &mut sums[*index as usize];
             for (sum, d) in sum.iter_mut().zip(d_log_scale) {
                 *sum += weight * d;
             }

@@ -57,6 +57,17 @@ impl<T> Gaussians<T> {
         self.means.is_empty()
     }
 
+    /// Whether every array has `len` entries.
+    pub fn has_len(&self, len: usize) -> bool {
+        [
+            self.means.len(),
+            self.quats.len(),
+            self.log_scales.len(),
+            self.opacity_logits.len(),
+            self.sh.len(),
+        ] == [len; 5]
+    }
+
     /// Keeps gaussian i where `keep[i]`, in order.
     ///
     /// # Panics

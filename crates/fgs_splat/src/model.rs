@@ -4,7 +4,7 @@
 use fgs_geom::View;
 use thiserror::Error;
 
-use crate::{Gaussians, LearningRates, LossError, LossSettings, Rendered, Target};
+use crate::{AdamError, Gaussians, LearningRates, LossError, LossSettings, Rendered, Target};
 
 /// A registered view. Never reused, also not after [`GaussianModel::drop_view`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -100,6 +100,9 @@ pub enum ModelError {
     /// The view cannot be compared with its target.
     #[error(transparent)]
     Loss(#[from] LossError),
+    /// The optimiser refused its input.
+    #[error(transparent)]
+    Adam(#[from] AdamError),
 }
 
 /// A map of gaussians that can be rendered and optimised.
