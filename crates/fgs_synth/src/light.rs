@@ -18,9 +18,9 @@ use crate::shape::{Ray, Solid};
 /// Side of a grid cell, metres: shadows of furniture are about that soft.
 const CELL_M: f64 = 0.06;
 /// Shadow rays to each lamp.
-const LAMP_RAYS: usize = 16;
+const LAMP_RAYS: usize = 10;
 /// Bounce rays are stratified in this many rows and columns.
-const BOUNCE_SIDE: usize = 8;
+const BOUNCE_SIDE: usize = 6;
 /// Rays start this far off the surface, metres: well above rounding, well below any gap.
 const OFFSET_M: f64 = 1e-4;
 /// Lamps count as at least this far away, metres, so that none burns a hole into its own shade.
@@ -28,6 +28,9 @@ const NEAREST_LAMP_M: f64 = 0.35;
 /// Light of the second and further bounces as a share of the first: with a mean albedo of 0.4 the
 /// geometric series has 0.4 / 0.6 left.
 const FURTHER_BOUNCES: f32 = 0.67;
+
+/// Typical irradiance: leaves room above for what a lamp or window lights.
+const MEDIAN: f32 = 0.42;
 
 /// A glowing box that shines alike in every direction.
 pub(crate) struct Lamp {
@@ -164,7 +167,7 @@ impl LightMap {
         (2 * buried < count).then(|| sum / (count - buried) as f32)
     }
 
-    /// Scales the light so that its median over the cells is 0.7.
+    /// Scales the light so that its median over the cells is [`MEDIAN`].
     fn expose(&mut self) {
         let mut levels: Vec<f32> = (self.faces.iter().flatten())
             .flat_map(|grid| grid.irradiance.iter().map(|e| e.sum() / 3.0))
@@ -174,7 +177,7 @@ impl LightMap {
         let Some(median) = levels.get(levels.len() / 2) else {
             return;
         };
-        let gain = 0.7 / median;
+        let gain = MEDIAN / median;
         for grid in self.faces.iter_mut().flatten() {
             for value in &mut grid.irradiance {
                 *value *= gain;

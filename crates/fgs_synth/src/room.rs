@@ -7,7 +7,7 @@ use rand::SeedableRng;
 use rand_pcg::Pcg64Mcg;
 
 use crate::builder::Builder;
-use crate::bvh::{Bvh, Hit};
+use crate::bvh::Bvh;
 use crate::layout;
 use crate::light::{Lamp, LightMap};
 use crate::pattern::{Pattern, Rgb, Spot};
@@ -19,6 +19,17 @@ pub(crate) struct Finish {
     pub seed: u32,
     /// Light given off, as a multiple of the albedo. Whatever glows casts no shadow.
     pub glow: f32,
+}
+
+/// Where a ray first meets a solid.
+#[derive(Clone, Copy)]
+pub(crate) struct Hit {
+    /// Distance in units of the ray's direction.
+    pub t: f64,
+    /// Index of the solid.
+    pub solid: usize,
+    /// Its face.
+    pub face: usize,
 }
 
 /// A closed room with furniture, in metres: z up, the middle of the floor at the origin.
@@ -60,17 +71,34 @@ impl Room {
         self.size
     }
 
-    /// What a ray meets first beyond `t` = 0.
+    /// What a ray meets first beyond `t` = 0. `likely` is a guess that saves time.
     pub(crate) fn meet(&self, ray: &Ray, likely: Option<usize>) -> Option<Hit> {
-        (self.bvh).nearest(&self.solids, ray, (0.0, f64::INFINITY), likely, |_| true)
+        let mut best = None;
+        let mut meet = |solid: usize, limit: &mut f64| {
+            if let Some((t, face)) = self.solids[solid].meet(ray, 0.0, *limit) {
+                *limit = t;
+                best = Some(Hit { t, solid, face });
+            }
+        };
+        let mut limit = f64::INFINITY;
+        if let Some(solid) = likely {
+            meet(solid, &mut limit);
+        }
+        self.bvh.visit(ray, &mut limit, meet);
+        best
     }
 
     /// Whether something that casts a shadow lies on a ray before t = 1.
     pub(crate) fn is_blocked(&self, ray: &Ray) -> bool {
-        let casts_shadow = |solid: usize| self.finishes[solid].glow == 0.0;
-        (self.bvh)
-            .nearest(&self.solids, ray, (0.0, 1.0), None, casts_shadow)
-            .is_some()
+        let mut limit = 1.0;
+        self.bvh.visit(ray, &mut limit, |solid, limit| {
+            let casts_shadow = self.finishes[solid].glow == 0.0;
+            if casts_shadow && self.solids[solid].meet(ray, 0.0, *limit).is_some() {
+                // Ends the search.
+                *limit = 0.0;
+            }
+        });
+        limit == 0.0
     }
 
     /// Linear radiance leaving a point that a ray has met, where `pixel_angle` (rad) is a pixel's
