@@ -136,51 +136,52 @@ impl Adam {
             return Err(AdamError::Touched { gaussians: len });
         }
 
-        let active: Vec<u32> = touched
+        let active: Vec<Active> = touched
             .par_iter()
             .with_min_len(CHUNK)
-            .copied()
-            .filter(|index| is_usable(gradients, *index as usize))
+            .filter(|index| is_usable(gradients, **index as usize))
+            .map(|index| Active::new(*index, self.steps[*index as usize]))
             .collect();
-        for index in &active {
-            let steps = &mut self.steps[*index as usize];
+        for gaussian in &active {
+            let steps = &mut self.steps[gaussian.index as usize];
             *steps = steps.saturating_add(1);
         }
 
         let (first, second) = (&mut self.first, &mut self.second);
-        let update = Update {
-            active: &active,
-            steps: &self.steps,
-        };
-        update.run(
+        update(
+            &active,
             rates.means,
             &mut gaussians.means,
             &gradients.means,
             &mut first.means,
             &mut second.means,
         );
-        update.run(
+        update(
+            &active,
             rates.quats,
             &mut gaussians.quats,
             &gradients.quats,
             &mut first.quats,
             &mut second.quats,
         );
-        update.run(
+        update(
+            &active,
             rates.log_scales,
             &mut gaussians.log_scales,
             &gradients.log_scales,
             &mut first.log_scales,
             &mut second.log_scales,
         );
-        update.run(
+        update(
+            &active,
             rates.opacity_logits,
             gaussians.opacity_logits.as_chunks_mut::<1>().0,
             gradients.opacity_logits.as_chunks::<1>().0,
             first.opacity_logits.as_chunks_mut::<1>().0,
             second.opacity_logits.as_chunks_mut::<1>().0,
         );
-        update.run(
+        update(
+            &active,
             rates.sh,
             &mut gaussians.sh,
             &gradients.sh,
@@ -201,54 +202,56 @@ fn is_usable(gradients: &Gaussians, i: usize) -> bool {
         && usable(&gradients.sh[i])
 }
 
-/// What the parameters' arrays have in common: the ascending indices of the gaussians to move, and
-/// every gaussian's number of steps, this one included.
-struct Update<'a> {
-    active: &'a [u32],
-    steps: &'a [u32],
+/// A gaussian to be moved, and the bias corrections of its step.
+struct Active {
+    index: u32,
+    /// `1 / (1 - beta_1^t)`, which the first moment is multiplied by.
+    first: f32,
+    /// `1 / sqrt(1 - beta_2^t)`, which the second moment's root is multiplied by.
+    second_root: f32,
 }
 
-impl Update<'_> {
-    fn run<const K: usize>(
-        &self,
-        rate: f32,
-        params: &mut [[f32; K]],
-        gradients: &[[f32; K]],
-        first: &mut [[f32; K]],
-        second: &mut [[f32; K]],
-    ) {
-        params
-            .par_chunks_mut(CHUNK)
-            .zip(first.par_chunks_mut(CHUNK))
-            .zip(second.par_chunks_mut(CHUNK))
-            .enumerate()
-            .for_each(|(chunk, ((params, first), second))| {
-                let start = chunk * CHUNK;
-                for index in self.active_in(start, start + params.len()) {
-                    let i = *index as usize;
-                    let local = i - start;
-                    let steps = self.steps[i].min(i32::MAX as u32) as i32;
-                    let first_correction = (1.0 - BETA_1.powi(steps)) as f32;
-                    let second_correction = (1.0 - BETA_2.powi(steps)) as f32;
-                    for k in 0..K {
-                        let gradient = gradients[i][k];
-                        let (m, v) = (&mut first[local][k], &mut second[local][k]);
-                        *m = BETA_1 as f32 * *m + (1.0 - BETA_1) as f32 * gradient;
-                        *v = BETA_2 as f32 * *v + (1.0 - BETA_2) as f32 * gradient * gradient;
-                        let m = *m / first_correction;
-                        let v = *v / second_correction;
-                        params[local][k] -= rate * m / (v.sqrt() + EPSILON);
-                    }
-                }
-            });
+impl Active {
+    fn new(index: u32, steps_before: u32) -> Self {
+        let steps = steps_before.min(i32::MAX as u32 - 1) as i32 + 1;
+        Self {
+            index,
+            first: (1.0 - BETA_1.powi(steps)).recip() as f32,
+            second_root: (1.0 - BETA_2.powi(steps)).sqrt().recip() as f32,
+        }
     }
+}
 
-    /// The active indices from `start` to before `end`.
-    fn active_in(&self, start: usize, end: usize) -> &[u32] {
-        let from = self.active.partition_point(|i| (*i as usize) < start);
-        let to = self.active.partition_point(|i| (*i as usize) < end);
-        &self.active[from..to]
-    }
+/// One step of one of the parameters' arrays. `active` ascends.
+fn update<const K: usize>(
+    active: &[Active],
+    rate: f32,
+    params: &mut [[f32; K]],
+    gradients: &[[f32; K]],
+    first: &mut [[f32; K]],
+    second: &mut [[f32; K]],
+) {
+    params
+        .par_chunks_mut(CHUNK)
+        .zip(first.par_chunks_mut(CHUNK))
+        .zip(second.par_chunks_mut(CHUNK))
+        .enumerate()
+        .for_each(|(chunk, ((params, first), second))| {
+            let start = chunk * CHUNK;
+            let position = |end| active.partition_point(|a| (a.index as usize) < end);
+            for gaussian in &active[position(start)..position(start + params.len())] {
+                let i = gaussian.index as usize;
+                let local = i - start;
+                for k in 0..K {
+                    let gradient = gradients[i][k];
+                    let (m, v) = (&mut first[local][k], &mut second[local][k]);
+                    *m = BETA_1 as f32 * *m + (1.0 - BETA_1) as f32 * gradient;
+                    *v = BETA_2 as f32 * *v + (1.0 - BETA_2) as f32 * gradient * gradient;
+                    let root = v.sqrt() * gaussian.second_root;
+                    params[local][k] -= rate * gaussian.first * *m / (root + EPSILON);
+                }
+            }
+        });
 }
 
 #[cfg(test)]
