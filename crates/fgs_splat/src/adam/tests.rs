@@ -183,3 +183,31 @@ fn any_number_of_threads_gives_the_same_bits() {
     };
     assert_eq!(run(1), run(5));
 }
+
+#[test]
+fn a_gaussian_moves_alone_as_in_a_large_map() {
+    let mut rng = Pcg64Mcg::seed_from_u64(5);
+    let (before, gradients) = (random(&mut rng, 9000, 1.0), random(&mut rng, 9000, 1.0));
+    // Other gradients in the second step, so that the first one's moments matter.
+    let second = random(&mut rng, 9000, 1.0);
+    let rates = LearningRates::default();
+    let (mut gaussians, mut adam) = (before.clone(), Adam::default());
+    adam.extend(9000);
+    let touched: Vec<u32> = (0..9000).collect();
+    for gradients in [&gradients, &second] {
+        adam.step(&mut gaussians, gradients, &touched, &rates)
+            .unwrap();
+    }
+    for i in [0, 4095, 4096, 8191, 8192, 8999] {
+        let keep: Vec<bool> = (0..9000).map(|k| k == i).collect();
+        let (mut alone, mut adam) = (before.clone(), Adam::default());
+        alone.retain(&keep);
+        adam.extend(1);
+        for gradients in [&gradients, &second] {
+            let mut gradient = gradients.clone();
+            gradient.retain(&keep);
+            adam.step(&mut alone, &gradient, &[0], &rates).unwrap();
+        }
+        assert_eq!(params(&alone, 0), params(&gaussians, i));
+    }
+}
