@@ -8,8 +8,8 @@
 //! a gaussian that is not touched rests, moments included. A gaussian out of view would otherwise
 //! drift after the last view that saw it, and a step would cost the size of the map.
 
-use crate::{GaussianGradients, Gaussians};
 use crate::gaussians::retain;
+use crate::{GaussianGradients, Gaussians};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use thiserror::Error;

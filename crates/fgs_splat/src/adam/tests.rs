@@ -116,7 +116,10 @@ fn first_step_is_the_learning_rate() {
     adam.extend(3);
     let gradients = random(&mut Pcg64Mcg::seed_from_u64(2), 3, 1e-6);
     let rates = LearningRates::default();
-    assert_eq!(adam.step(&mut gaussians, &gradients_of(&gradients, &[1]), &rates), Ok(0));
+    assert_eq!(
+        adam.step(&mut gaussians, &gradients_of(&gradients, &[1]), &rates),
+        Ok(0)
+    );
     for (k, moved) in params(&gaussians, 1).into_iter().enumerate() {
         let expected = -RATES[k] * params(&gradients, 1)[k].signum();
         assert!((moved - expected).abs() <= 1e-5 * RATES[k], "{k}");
@@ -218,7 +221,8 @@ fn a_gaussian_moves_alone_as_in_a_large_map() {
         for gradients in [&gradients, &second] {
             let mut gradient = gradients.clone();
             gradient.retain(&keep);
-            adam.step(&mut alone, &gradients_of(&gradient, &[0]), &rates).unwrap();
+            adam.step(&mut alone, &gradients_of(&gradient, &[0]), &rates)
+                .unwrap();
         }
         assert_eq!(params(&alone, 0), params(&gaussians, i));
     }
