@@ -16,7 +16,7 @@ use crate::room::Room;
 use crate::shape::{Ray, Solid};
 
 /// Side of a grid cell, metres: shadows of furniture are about that soft.
-const CELL_M: f64 = 0.06;
+const CELL_M: f64 = 0.08;
 /// Shadow rays to each lamp.
 const LAMP_RAYS: usize = 10;
 /// Bounce rays are stratified in this many rows and columns.
