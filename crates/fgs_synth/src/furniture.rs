@@ -387,7 +387,7 @@ pub(crate) fn plant(b: &mut Builder, at: Place) {
 pub(crate) fn window(b: &mut Builder, at: Place, width: f64) {
     let (x, low, high) = (0.5 * width, 0.9, 2.1);
     b.block(at, [-x, 0.0, low], [x, 0.01, high], Pattern::Landscape);
-    b.light_up_last(0.9);
+    b.light_up_last(0.35);
     let white = paint(0xe8e6e0);
     for edge in [-x - 0.05, -0.025, x] {
         b.block(at, [edge, 0.0, low], [edge + 0.05, 0.06, high], white);

@@ -72,6 +72,14 @@ impl Sequence {
         }
     }
 
+    /// The same recording by another camera; shares the room.
+    pub fn with_camera(&self, camera: Camera) -> Self {
+        Self {
+            camera,
+            ..self.clone()
+        }
+    }
+
     /// Number of frames.
     pub fn len(&self) -> usize {
         self.len

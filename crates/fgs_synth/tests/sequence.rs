@@ -1,6 +1,8 @@
 //! What a recording promises: exact poses and depth, matt surfaces, repeatability, and views that
 //! fix every direction of motion.
 
+#![allow(clippy::unwrap_used)] // Clippy's leave for tests stops at statics and helpers.
+
 use std::sync::LazyLock;
 
 use fgs_geom::{Image, RgbdFrame, Se3};
@@ -157,6 +159,32 @@ fn mean_difference(a: &Image<[u8; 3]>, b: &Image<[u8; 3]>) -> f64 {
         .map(|(a, b)| u64::from(a.abs_diff(*b)))
         .sum();
     sum as f64 / a.len() as f64
+}
+
+/// A pixel shows the mean of what lies in it, not a point of it.
+#[test]
+fn colour_is_anti_aliased() {
+    let sequence = |width, height| {
+        let camera = kinect_camera(width, height).unwrap();
+        SEQUENCES[1].with_camera(camera).frame(90).color
+    };
+    let (small, large) = (sequence(80, 60), sequence(640, 480));
+    // Light adds up, not its code.
+    let light = |code: u8| (f64::from(code) / 255.0).powf(2.2);
+    let mean = Image::from_fn(80, 60, |u, v| {
+        [0, 1, 2].map(|channel| {
+            let part = |i: usize| light(large.at(8 * u + i % 8, 8 * v + i / 8)[channel]);
+            let mean = (0..64).map(part).sum::<f64>() / 64.0;
+            (255.0 * mean.powf(1.0 / 2.2)).round() as u8
+        })
+    });
+    let point = Image::from_fn(80, 60, |u, v| large.at(8 * u + 4, 8 * v + 4));
+    let (smooth, jagged) = (
+        mean_difference(&small, &mean),
+        mean_difference(&point, &mean),
+    );
+    println!("from the mean of 8x8: {smooth:.2}, a point alone {jagged:.2}");
+    assert!(smooth <= 0.6 * jagged, "{smooth} {jagged}");
 }
 
 #[test]

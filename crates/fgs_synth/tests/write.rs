@@ -1,5 +1,7 @@
 //! Recordings on disk: the files, their contents, and that nothing half-written stays.
 
+#![allow(clippy::unwrap_used)] // Clippy's leave for tests stops at statics and helpers.
+
 use std::fs;
 use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
