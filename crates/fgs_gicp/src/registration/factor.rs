@@ -60,3 +60,7 @@ fn inverse_symmetric(m: &Matrix3<f64>) -> Option<Matrix3<f64>> {
     let inverse = Matrix3::new(c_xx, c_xy, c_xz, c_xy, c_yy, c_yz, c_xz, c_yz, c_zz);
     Some(inverse / determinant)
 }
+
+#[cfg(test)]
+#[path = "factor_tests.rs"]
+mod tests;

@@ -190,3 +190,7 @@ struct InverseDepthPlane {
     slope_v: f64,
     center: f64,
 }
+
+#[cfg(test)]
+#[path = "depth_grid_tests.rs"]
+mod tests;

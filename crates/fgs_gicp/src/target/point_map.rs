@@ -139,16 +139,18 @@ impl PointMap {
             Some(slot) if distance <= max_distance_m => {
                 // No other point is nearer than this: those beyond the margin were not looked at.
                 let next = found.next_squared_distance.sqrt().min(distance + margin_m);
-                (Some(slot), 0.5 * (next - distance))
+                let stays_nearest = 0.5 * (next - distance);
+                (Some(slot), stays_nearest.min(max_distance_m - distance))
             }
-            _ => (None, distance.min(max_distance_m + margin_m) - max_distance_m),
+            _ => (
+                None,
+                distance.min(max_distance_m + margin_m) - max_distance_m,
+            ),
         };
-        // Distances are rounded like the coordinates that they come from.
-        let rounding = 4.0 * f32::EPSILON * (query.amax() + max_distance_m);
         LastingNearest {
             slot,
             query: *query,
-            radius_m: radius - rounding,
+            radius_m: radius - rounding_m(query, max_distance_m),
         }
     }
 
@@ -171,15 +173,14 @@ impl PointMap {
             let Some(points) = self.cells.get(&cell) else {
                 return;
             };
-            points.for_groups_within(
-                query,
-                limit,
-                |squared_distances, slots| {
-                    let near = squared_distances.iter().zip(slots).filter(|(d, _)| **d <= limit);
-                    found.extend(near.map(|(&d, &slot)| self.neighbor(slot, d)));
-                    limit
-                },
-            );
+            points.for_groups_within(query, limit, |squared_distances, slots| {
+                let near = squared_distances
+                    .iter()
+                    .zip(slots)
+                    .filter(|(d, _)| **d <= limit);
+                found.extend(near.map(|(&d, &slot)| self.neighbor(slot, d)));
+                limit
+            });
         });
         found.sort_by(|a, b| {
             let by_distance = a.squared_distance.total_cmp(&b.squared_distance);
@@ -228,18 +229,19 @@ impl PointMap {
         let id = |slot: u32| self.slots[slot as usize].0;
         points.for_groups_within(query, search.limit, |squared_distances, slots| {
             for (&squared, &slot) in squared_distances.iter().zip(slots) {
-                if squared > search.limit {
-                    continue;
-                }
                 let nearest = search.squared_distance;
-                let wins_tie = squared == nearest && search.slot.is_some_and(|s| id(slot) < id(s));
-                if squared < nearest || wins_tie {
-                    search.next_squared_distance = nearest;
+                if squared < nearest && squared <= search.limit {
                     search.squared_distance = squared;
+                    search.next_squared_distance = nearest;
                     search.slot = Some(slot);
-                    search.limit = search.limit.min((squared.sqrt() + search.margin_m).powi(2));
-                } else {
+                    // Not below the point itself by rounding: its equals are to be met too.
+                    let limit = (squared.sqrt() + search.margin_m).powi(2).max(squared);
+                    search.limit = search.limit.min(limit);
+                } else if squared <= search.limit {
                     search.next_squared_distance = search.next_squared_distance.min(squared);
+                    if squared == nearest && search.slot.is_none_or(|other| id(slot) < id(other)) {
+                        search.slot = Some(slot);
+                    }
                 }
             }
             search.limit
@@ -248,14 +250,10 @@ impl PointMap {
 
     /// Calls `visit` with every cell that may hold a point within `distance_m` of `query`.
     #[inline]
-    fn for_cells_within(
-        &self,
-        query: &Vector3<f32>,
-        distance_m: f32,
-        mut visit: impl FnMut(Cell),
-    ) {
-        let low = self.cell_of(&query.map(|x| x - distance_m));
-        let high = self.cell_of(&query.map(|x| x + distance_m));
+    fn for_cells_within(&self, query: &Vector3<f32>, distance_m: f32, mut visit: impl FnMut(Cell)) {
+        let reach = distance_m + rounding_m(query, distance_m);
+        let low = self.cell_of(&query.map(|x| x - reach));
+        let high = self.cell_of(&query.map(|x| x + reach));
         let side = |low: i32, high: i32| f64::from(high) - f64::from(low) + 1.0;
         let cells = side(low.x, high.x) * side(low.y, high.y) * side(low.z, high.z);
         // A search far beyond the cells' size is quicker through the table itself.
@@ -289,6 +287,13 @@ impl PointMap {
     }
 }
 
+/// Bounds the rounding error of distances up to `distance_m` from `query`, which is that of the
+/// coordinates that they come from.
+#[inline]
+fn rounding_m(query: &Vector3<f32>, distance_m: f32) -> f32 {
+    4.0 * f32::EPSILON * (query.amax() + distance_m)
+}
+
 /// A search under way.
 struct Search {
     /// Points beyond this squared distance are of no interest.
@@ -320,8 +325,7 @@ impl LastingNearest {
     /// Whether a search at `query` would find the same point.
     #[inline]
     pub(crate) fn holds_at(&self, query: &Vector3<f32>) -> bool {
-        self.radius_m > 0.0
-            && (query - self.query).norm_squared() < self.radius_m * self.radius_m
+        self.radius_m > 0.0 && (query - self.query).norm_squared() < self.radius_m * self.radius_m
     }
 }
 
@@ -353,3 +357,7 @@ impl Hasher for CellHasher {
         self.0 ^ (self.0 >> 32)
     }
 }
+
+#[cfg(test)]
+#[path = "point_map_tests.rs"]
+mod tests;
