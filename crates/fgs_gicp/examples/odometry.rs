@@ -89,10 +89,9 @@ struct Recipe {
     constant_velocity: bool,
     /// New map points keep this distance from old ones.
     spacing_m: f32,
-    /// Keyframe when fewer than this share of points have a map point ...
+    /// Keyframe when fewer than this share of points have a map point within the correspondence
+    /// distance.
     min_overlap: f64,
-    /// ... within this distance.
-    overlap_distance_m: f32,
     /// Replace the map at each keyframe rather than add to it.
     replace: bool,
     /// Side of the map's cells.
@@ -136,7 +135,6 @@ impl Recipe {
             constant_velocity: get("velocity", 1.0)? > 0.0,
             spacing_m: get("spacing", 0.005)? as f32,
             min_overlap: get("overlap", 0.8)?,
-            overlap_distance_m: get("overlap_distance", 1e-3f64.sqrt())? as f32,
             replace: get("replace", 0.0)? > 0.0,
             cell_m: get("cell", 0.03)? as f32,
             map_stride: get("map_stride", stride as f64)? as usize,
@@ -209,32 +207,23 @@ impl Tracker {
         } else {
             previous
         };
-        let pose = match align(&source, &self.map, &start, &self.recipe.settings) {
+        let (pose, overlap) = match align(&source, &self.map, &start, &self.recipe.settings) {
             Ok(alignment) => {
                 self.iterations = alignment.iterations;
                 if !alignment.converged {
                     self.lost += 1;
                 }
-                alignment.target_from_source
+                (alignment.target_from_source, alignment.inlier_share)
             }
             Err(error) => {
                 eprintln!("{error}");
                 self.lost += 1;
-                start
+                (start, 1.0)
             }
         };
         self.motion = previous.inverse() * pose;
         self.world_from_camera = Some(pose);
-        let covered = source
-            .iter()
-            .filter(|point| {
-                let position = pose.transform(&point.position.cast()).cast();
-                self.map
-                    .nearest(&position, self.recipe.overlap_distance_m)
-                    .is_some()
-            })
-            .count();
-        if (covered as f64) < self.recipe.min_overlap * source.len() as f64 {
+        if overlap < self.recipe.min_overlap {
             self.add_keyframe(depth_m, camera, &source, pose);
         }
         Ok(pose)

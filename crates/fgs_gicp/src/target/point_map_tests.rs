@@ -102,7 +102,7 @@ fn a_lasting_neighbor_lasts() {
         }
     }
     // Both happen often enough for the test to mean something.
-    assert!(lasted > 1000 && changed > 100, "{lasted} {changed}");
+    assert!(lasted > 1000 && changed > 50, "{lasted} {changed}");
 }
 
 #[test]
