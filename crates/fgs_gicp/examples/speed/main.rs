@@ -33,7 +33,7 @@ fn main() -> Result<()> {
             stride_px,
             ..DepthGrid::default()
         };
-        let mut previous = PointMap::new(0.03);
+        let mut previous = PointMap::new(0.045);
         add(
             &mut previous,
             &points(&grid, &read(first + 9)?, &camera),
@@ -48,7 +48,7 @@ fn main() -> Result<()> {
             &previous,
             &Se3::identity(),
         )?;
-        let mut map = PointMap::new(0.03);
+        let mut map = PointMap::new(0.045);
         for i in first..first + 10 {
             add(&mut map, &points(&grid, &read(i)?, &camera), &pose(i), 0.01);
         }

@@ -28,6 +28,7 @@ pub struct Neighbor<'a> {
 /// Points with ids, to be searched by position.
 #[derive(Clone, Debug)]
 pub struct PointMap {
+    cell_size_m: f32,
     cells_per_m: f32,
     cells: HashMap<Cell, CellPoints, BuildHasherDefault<CellHasher>>,
     slots: Vec<(u64, Point)>,
@@ -51,6 +52,7 @@ impl PointMap {
         let cells_per_m = 1.0 / cell_size_m;
         let usable = cells_per_m.is_normal() && cells_per_m > 0.0;
         Self {
+            cell_size_m: if usable { cell_size_m } else { 1.0 },
             cells_per_m: if usable { cells_per_m } else { 1.0 },
             cells: HashMap::default(),
             slots: Vec::new(),
@@ -169,7 +171,7 @@ impl PointMap {
     ) -> Vec<Neighbor<'_>> {
         let mut found = Vec::new();
         let limit = max_distance_m * max_distance_m;
-        self.for_cells_within(query, max_distance_m, |cell| {
+        self.for_cells_within(query, max_distance_m, |cell, _| {
             let Some(points) = self.cells.get(&cell) else {
                 return;
             };
@@ -213,8 +215,8 @@ impl PointMap {
         let own = self.cell_of(query);
         self.search_cell(own, query, &mut search);
         // What the own cell holds usually leaves few other cells, if any, within reach.
-        self.for_cells_within(query, search.limit.sqrt(), |cell| {
-            if cell != own {
+        self.for_cells_within(query, search.limit.sqrt(), |cell, squared_gap| {
+            if cell != own && squared_gap <= search.limit {
                 self.search_cell(cell, query, &mut search);
             }
         });
@@ -248,23 +250,38 @@ impl PointMap {
         });
     }
 
-    /// Calls `visit` with every cell that may hold a point within `distance_m` of `query`.
+    /// Calls `visit(cell, squared_gap)` with every cell that may hold a point within `distance_m`
+    /// of `query`. No point of the cell is nearer than the gap.
     #[inline]
-    fn for_cells_within(&self, query: &Vector3<f32>, distance_m: f32, mut visit: impl FnMut(Cell)) {
-        let reach = distance_m + rounding_m(query, distance_m);
+    fn for_cells_within(
+        &self,
+        query: &Vector3<f32>,
+        distance_m: f32,
+        mut visit: impl FnMut(Cell, f32),
+    ) {
+        let rounding_m = rounding_m(query, distance_m);
+        let reach = distance_m + rounding_m;
         let low = self.cell_of(&query.map(|x| x - reach));
         let high = self.cell_of(&query.map(|x| x + reach));
         let side = |low: i32, high: i32| f64::from(high) - f64::from(low) + 1.0;
         let cells = side(low.x, high.x) * side(low.y, high.y) * side(low.z, high.z);
         // A search far beyond the cells' size is quicker through the table itself.
         if cells > 64.0 && cells > self.cells.len() as f64 {
-            self.cells.keys().for_each(|&cell| visit(cell));
+            self.cells.keys().for_each(|&cell| visit(cell, 0.0));
             return;
         }
+        // Along one axis, from the query to the cell.
+        let squared_gap = |cell: i32, x: f32| {
+            let low = cell as f32 * self.cell_size_m;
+            let gap = (low - x).max(x - low - self.cell_size_m) - rounding_m;
+            gap.max(0.0).powi(2)
+        };
         for x in low.x..=high.x {
+            let gap_x = squared_gap(x, query.x);
             for y in low.y..=high.y {
+                let gap_xy = gap_x + squared_gap(y, query.y);
                 for z in low.z..=high.z {
-                    visit(Cell { x, y, z });
+                    visit(Cell { x, y, z }, gap_xy + squared_gap(z, query.z));
                 }
             }
         }
