@@ -120,7 +120,7 @@ impl Tracker {
             "neighbors" => {
                 let mut map = PointMap::new(0.05);
                 for (id, point) in surface.iter().enumerate() {
-                    map.insert(id as u64, point.disk());
+                    map.insert(id as u64, point.disk(recipe.thickness, 0.0));
                 }
                 let positions: Vec<_> = surface.iter().map(position).collect();
                 covariances_from_neighbors(&map, &positions, recipe.neighbors, 0.2)

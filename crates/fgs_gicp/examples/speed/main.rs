@@ -11,7 +11,7 @@ use std::time::Instant;
 
 use anyhow::{Context, Result};
 use fgs_geom::{Camera, Image, Se3};
-use fgs_gicp::{DepthGrid, Point, PointMap, Settings, align};
+use fgs_gicp::{DepthGrid, MIN_EIGENVALUE, Point, PointMap, Settings, align};
 
 use sequence::Sequence;
 
@@ -66,7 +66,10 @@ fn main() -> Result<()> {
 
 fn points(grid: &DepthGrid, depth_m: &Image<f32>, camera: &Camera) -> Vec<Point> {
     let surface = grid.surface_points(depth_m, camera);
-    surface.iter().map(|point| point.disk()).collect()
+    surface
+        .iter()
+        .map(|point| point.disk(MIN_EIGENVALUE, 0.0))
+        .collect()
 }
 
 fn add(map: &mut PointMap, points: &[Point], world_from_camera: &Se3, spacing_m: f32) {

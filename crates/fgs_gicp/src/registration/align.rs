@@ -13,7 +13,7 @@ use rayon::prelude::*;
 
 use crate::registration::{AlignError, Alignment, Conditioning, Factor, LinearSystem, Settings};
 use crate::target::LastingNearest;
-use crate::{MIN_EIGENVALUE, Point, PointMap};
+use crate::{Point, PointMap};
 
 /// Points summed up by one task. Fixed, so that sums do not depend on the number of threads.
 const CHUNK_POINTS: usize = 1024;
@@ -162,8 +162,7 @@ fn linearize_chunk(
         let Some(factor) = factor else {
             continue;
         };
-        // Two facing disks give along their normal 1 / (2 MIN_EIGENVALUE): as metres.
-        let squared_residual = factor.cost() * 2.0 * MIN_EIGENVALUE;
+        let squared_residual = factor.squared_residual();
         let weight = settings.kernel.weight(squared_residual);
         system.add(&p, &factor, weight, squared_residual);
     }

@@ -2,7 +2,7 @@ use fgs_geom::{Camera, Image, Intrinsics};
 use nalgebra::Vector6;
 
 use super::*;
-use crate::{Covariance, DepthGrid, Kernel};
+use crate::{Covariance, DepthGrid, Kernel, MIN_EIGENVALUE};
 
 fn camera() -> Camera {
     let intrinsics = Intrinsics {
@@ -45,7 +45,10 @@ fn view(scene: &Scene, world_from_camera: &Se3) -> Vec<Point> {
         ..DepthGrid::default()
     };
     let surface = grid.surface_points(&depth_m, &camera);
-    surface.iter().map(|point| point.disk()).collect()
+    surface
+        .iter()
+        .map(|point| point.disk(MIN_EIGENVALUE, 0.0))
+        .collect()
 }
 
 fn map_of(points: &[Point]) -> PointMap {

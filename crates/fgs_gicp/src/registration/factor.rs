@@ -40,6 +40,13 @@ impl Factor {
     pub fn cost(&self) -> f64 {
         self.residual.dot(&(self.information * self.residual))
     }
+
+    /// The squared residual in square metres whatever the covariances' scale: the mean over
+    /// directions weighted by their information, so for thin disks that along the normal.
+    #[inline]
+    pub fn squared_residual(&self) -> f64 {
+        self.cost() / self.information.trace()
+    }
 }
 
 /// The inverse of a symmetric positive definite matrix by cofactors; `None` if it is none.

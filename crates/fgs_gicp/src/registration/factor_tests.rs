@@ -87,3 +87,16 @@ fn covariances_without_an_inverse() {
     assert!(new(&Matrix3::from_element(f64::NAN)).is_none());
     assert!(new(&Matrix3::identity()).is_some());
 }
+
+#[test]
+fn the_residual_of_disks_is_the_distance_along_their_normal() {
+    let normal = Vector3::new(0.48, -0.6, 0.64);
+    for (thickness, scale) in [(1e-4, 1.0), (1e-4, 7.0), (1e-6, 0.2)] {
+        let c = Covariance::disk(&normal, thickness).scaled(scale).matrix();
+        let q = normal * 0.02 + normal.cross(&Vector3::x()) * 0.03;
+        let (p, rotation) = (Vector3::zeros(), Matrix3::identity());
+        let factor = Factor::new(&p, &c, &q, &c, &rotation, &p).unwrap();
+        let residual = factor.squared_residual().sqrt();
+        assert!((residual - 0.02).abs() <= 1e-4, "{residual}");
+    }
+}

@@ -136,7 +136,9 @@ fn removing_and_replacing() {
             assert_eq!(map.get(id).unwrap().position, positions[id as usize]);
         }
     }
-    (0..500).for_each(|id| drop(map.remove(id)));
+    for id in 0..500 {
+        map.remove(id);
+    }
     assert!(map.is_empty() && map.cells.is_empty());
 }
 
