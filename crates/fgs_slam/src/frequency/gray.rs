@@ -9,7 +9,7 @@ const WEIGHTS: [u32; 3] = [9798, 19235, 3735];
 /// 8-bit grey, rounded to nearest.
 pub(super) fn gray_from_color(color: &Image<[u8; 3]>) -> Image<u8> {
     color.map(|&[r, g, b]| {
-        let [r, g, b] = [r, g, b].map(u32::from);
+        let (r, g, b) = (u32::from(r), u32::from(g), u32::from(b));
         ((WEIGHTS[0] * r + WEIGHTS[1] * g + WEIGHTS[2] * b + (1 << 14)) >> 15) as u8
     })
 }
