@@ -31,6 +31,13 @@ mod tests {
             ([0, 128, 1], 75),
             ([17, 230, 99], 151),
             ([254, 1, 128], 91),
+            // Each of these turns over if one weight gains and another loses 2^-15.
+            ([228, 205, 35], 193),
+            ([99, 140, 173], 132),
+            ([89, 254, 42], 180),
+            ([91, 236, 33], 170),
+            ([4, 75, 20], 48),
+            ([64, 6, 253], 51),
         ];
         for (color, gray) in expected {
             assert_eq!(gray_from_color(&Image::filled(1, 1, color)).at(0, 0), gray);
