@@ -1,1 +1,37 @@
-//! Reading RGB-D recordings.
+//! RGB-D recordings on disk, read as a stream of frames, and trajectory files.
+//!
+//! Input: a folder in one of four layouts ([`Format`]). Output: [`fgs_geom::RgbdFrame`]s with
+//! depth in metres and without lens distortion, in order, decoded ahead on threads of their own.
+//!
+//! The one invariant: what depends on a data set's layout, units or quaternion order stays inside
+//! this crate; nothing downstream can tell where a frame came from.
+//!
+//! ```no_run
+//! use fgs_data::{Dataset, OpenOptions};
+//!
+//! let dataset = Dataset::open("recordings/desk".as_ref(), &OpenOptions::default())?;
+//! for frame in dataset.frames(0..dataset.len()) {
+//!     let frame = frame?;
+//!     println!("{} s: {} columns", frame.timestamp_secs, frame.camera.width);
+//! }
+//! # Ok::<(), fgs_data::DataError>(())
+//! ```
+
+mod association;
+mod camera_file;
+mod dataset;
+mod error;
+mod formats;
+mod frame_loader;
+mod frame_stream;
+mod images;
+mod lines;
+mod natural_order;
+mod trajectory;
+
+pub use camera_file::CameraFile;
+pub use dataset::{Dataset, OpenOptions};
+pub use error::{DataError, LineFault};
+pub use formats::Format;
+pub use frame_stream::FrameStream;
+pub use trajectory::{StampedPose, Trajectory};

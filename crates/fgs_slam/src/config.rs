@@ -3,6 +3,7 @@
 //! A TOML file may give any part of it; unknown keys are refused. Algorithms read values from here
 //! and never a data set's name.
 
+use fgs_splat::LearningRates;
 use serde::{Deserialize, Serialize};
 
 /// The whole configuration. Its effective value is written beside every result and reruns it.
@@ -147,22 +148,6 @@ pub struct MappingConfig {
     pub learning_rates: LearningRates,
 }
 
-/// Adam's step sizes per parameter.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct LearningRates {
-    /// Metres.
-    pub means: f32,
-    /// Unit quaternions.
-    pub quats: f32,
-    /// Logarithms of metres.
-    pub log_scales: f32,
-    /// Logits.
-    pub opacity_logits: f32,
-    /// Spherical-harmonics coefficients.
-    pub sh: f32,
-}
-
 impl Default for SlamConfig {
     fn default() -> Self {
         Self {
@@ -233,18 +218,6 @@ impl Default for MappingConfig {
             mask_color_by_depth: false,
             normalize_depth: true,
             learning_rates: LearningRates::default(),
-        }
-    }
-}
-
-impl Default for LearningRates {
-    fn default() -> Self {
-        Self {
-            means: 2.5e-6,
-            quats: 1e-2,
-            log_scales: 5e-3,
-            opacity_logits: 0.05,
-            sh: 3.5e-3,
         }
     }
 }

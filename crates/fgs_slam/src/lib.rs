@@ -16,11 +16,11 @@ mod tracker;
 mod view_choice;
 
 pub use config::{
-    ConfigError, Disks, KeyframeConfig, LearningRates, MappingConfig, NewPoints, SeedingConfig,
+    ConfigError, Disks, KeyframeConfig, MappingConfig, NewPoints, SeedingConfig,
     SlamConfig, TargetCovariance, TrackingConfig,
 };
 pub use keyframes::{Keyframe, KeyframeKind};
-pub use mapper::{Mapper, MapperError};
+pub use mapper::{Mapper, MapperError, model_settings};
 pub use observer::{Observer, SlamEvent};
 pub use system::{Execution, KeyframeRecord, SlamError, SlamOutput, Timings, run};
 pub use tracker::{Tracked, Tracker, TrackingStatus};

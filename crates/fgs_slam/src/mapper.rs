@@ -3,7 +3,7 @@
 
 use fgs_geom::{Camera, FrameIndex, Image, View};
 use fgs_splat::{
-    AdamSettings, GaussianModel, Gaussians, LossSettings, ModelError, ModelSettings, PruneRule, Rendered,
+    GaussianModel, Gaussians, LossError, LossSettings, ModelError, ModelSettings, PruneRule, Rendered,
     SparseChanges, StepStats, Target, ViewId,
 };
 
@@ -20,6 +20,9 @@ pub enum MapperError {
     /// The model refused a call.
     #[error(transparent)]
     Model(#[from] ModelError),
+    /// A keyframe's images do not belong together.
+    #[error(transparent)]
+    Keyframe(#[from] LossError),
 }
 
 /// Owns the map.
@@ -37,21 +40,13 @@ pub struct Mapper<M> {
 
 /// How a configuration asks the model to optimise.
 pub fn model_settings(config: &MappingConfig) -> ModelSettings {
-    let rates = &config.learning_rates;
     ModelSettings {
         loss: LossSettings {
             mask_color_by_depth: config.mask_color_by_depth,
             normalize_depth: config.normalize_depth,
             ..LossSettings::default()
         },
-        adam: AdamSettings {
-            means: rates.means,
-            quats: rates.quats,
-            log_scales: rates.log_scales,
-            opacity_logits: rates.opacity_logits,
-            sh: rates.sh,
-            ..AdamSettings::default()
-        },
+        learning_rates: config.learning_rates.clone(),
     }
 }
 
@@ -96,10 +91,7 @@ impl<M: GaussianModel> Mapper<M> {
             &self.config.seeding,
         );
         self.model.insert(&seeder.seeds(&missing, &new_points))?;
-        let target = Target {
-            color: frame.color.clone(),
-            depth_m: frame.depth_m.clone(),
-        };
+        let target = Target::new(frame.color.clone(), frame.depth_m.clone())?;
         let id = self.model.add_view(view, target)?;
         let covisibility = self.model.covisibility(id)?;
         let mapping = &self.config.mapping;
@@ -173,7 +165,7 @@ impl<M: GaussianModel> Mapper<M> {
         match self.config.keyframes.new_points {
             NewPoints::Distance => new_points.to_vec(),
             NewPoints::Mask => {
-                let (admitted, refused): (Vec<_>, Vec<_>) =
+                let (admitted, refused): (Vec<NewPoint>, Vec<NewPoint>) =
                     new_points.iter().partition(|p| missing.at(p.u, p.v));
                 self.refused.extend(refused.iter().map(|p| p.id));
                 admitted

@@ -139,3 +139,150 @@ fn disk_axes(normal: &Vector3<f64>, ray: &Vector3<f64>) -> UnitQuaternion<f64> {
     let axes = Matrix3::from_columns(&[first, normal.cross(&first), *normal]);
     UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(axes))
 }
+
+#[cfg(test)]
+mod tests {
+    use fgs_geom::{Camera, FrameIndex, Intrinsics};
+
+    use super::*;
+
+    const W: usize = 48;
+    const H: usize = 40;
+
+    /// A wall through (0, 0, 2) with the given normal, each pixel of its own colour, seen by a
+    /// camera with an off-centre principal point.
+    fn wall(normal: Vector3<f64>) -> RgbdFrame {
+        let intrinsics = Intrinsics {
+            fx: 50.0,
+            fy: 50.0,
+            cx: 20.0,
+            cy: 22.5,
+        };
+        let camera = Camera::new(W, H, intrinsics).unwrap();
+        let depth_m = Image::from_fn(W, H, |u, v| {
+            (2.0 * normal.z / normal.dot(&camera.ray(u as f64, v as f64))) as f32
+        });
+        RgbdFrame {
+            index: FrameIndex(0),
+            timestamp_secs: 0.0,
+            color: Image::from_fn(W, H, |u, v| [u as u8, v as u8, 255]),
+            depth_m,
+            camera,
+        }
+    }
+
+    fn pose() -> Se3 {
+        Se3::exp(&nalgebra::Vector6::new(0.4, -0.7, 0.2, 1.0, -2.0, 0.5))
+    }
+
+    fn axes(gaussians: &Gaussians, i: usize) -> Matrix3<f64> {
+        let [w, x, y, z] = gaussians.quats[i].map(f64::from);
+        UnitQuaternion::from_quaternion(nalgebra::Quaternion::new(w, x, y, z))
+            .to_rotation_matrix()
+            .into_inner()
+    }
+
+    #[test]
+    fn detail_is_dense_and_the_rest_sparse_and_only_the_missing_is_seeded() {
+        let frame = wall(Vector3::new(0.0, 0.0, -1.0));
+        let detail = Image::from_fn(W, H, |u, _| u < 24);
+        let missing = Image::from_fn(W, H, |_, v| v < 20);
+        let config = SeedingConfig::default();
+        let seeder = Seeder::new(&frame, pose(), &detail, &config);
+        let seeds = seeder.seeds(&missing, &[]);
+        assert_eq!(seeds.gaussians.len(), 12 * 10 + 6 * 5);
+        assert!(seeds.sparse_ids.iter().all(Option::is_none));
+        let of_sigma = |sigma_m: f32| {
+            let sigmas = seeds.gaussians.log_scales.iter().map(|log| log[1].exp());
+            sigmas.filter(|s| (s / sigma_m - 1.0).abs() <= 1e-5).count()
+        };
+        // Eq. (11): alpha d / f, 1 and 2 px at 2 m and 50 px focal length.
+        assert_eq!(of_sigma(2.0 / 50.0), 12 * 10);
+        assert_eq!(of_sigma(4.0 / 50.0), 6 * 5);
+    }
+
+    #[test]
+    fn a_pixel_of_both_maps_gets_one_gaussian() {
+        let frame = wall(Vector3::new(0.0, 0.0, -1.0));
+        let detail = Image::filled(W, H, false);
+        let missing = Image::from_fn(W, H, |_, v| v < 4);
+        let config = SeedingConfig::default();
+        let seeder = Seeder::new(&frame, pose(), &detail, &config);
+        let points = [(8, 0, 7), (9, 0, 8), (8, 30, 9)].map(|(u, v, id)| NewPoint {
+            u,
+            v,
+            id: SparseId(id),
+        });
+        let seeds = seeder.seeds(&missing, &points);
+        assert_eq!(seeds.gaussians.len(), W / 4 + 2);
+        let ids: Vec<_> = seeds.sparse_ids.iter().flatten().map(|id| id.0).collect();
+        assert_eq!(ids, [7, 8, 9]);
+    }
+
+    #[test]
+    fn disks_lie_on_the_surface_at_the_measured_point() {
+        let normal = Vector3::new(0.6, -0.3, -1.0).normalize();
+        let frame = wall(normal);
+        let detail = Image::filled(W, H, true);
+        let missing = Image::filled(W, H, true);
+        let config = SeedingConfig::default();
+        let seeds = Seeder::new(&frame, pose(), &detail, &config).seeds(&missing, &[]);
+        let camera_from_world = pose().inverse();
+        let gaussians = &seeds.gaussians;
+        for i in 0..gaussians.len() {
+            let rgb = gaussians.sh[i].map(|sh| 255.0 * (0.5 + SH0_FACTOR * f64::from(sh)));
+            let mean = Vector3::from(gaussians.means[i]).cast();
+            let pixel = frame.camera.project(&camera_from_world.transform(&mean)).unwrap();
+            assert!((pixel.x - rgb[0]).abs() <= 1e-3 && (pixel.y - rgb[1]).abs() <= 1e-3);
+            assert!((rgb[2] - 255.0).abs() <= 1e-3);
+            let (u, v) = (rgb[0].round() as usize, rgb[1].round() as usize);
+            if (8..W - 8).contains(&u) && (8..H - 8).contains(&v) {
+                let axes = camera_from_world.rotation * axes(gaussians, i);
+                assert!((axes.column(2) - normal).amax() <= 1e-3, "({u}, {v})");
+                let ray = frame.camera.ray(u as f64, v as f64).normalize();
+                // Stretched along the tilt, round across it.
+                let tilt = (ray - normal * normal.dot(&ray)).normalize();
+                assert!((axes.column(0) - tilt).amax() <= 2e-2, "({u}, {v})");
+                let ratio = (gaussians.log_scales[i][0] - gaussians.log_scales[i][1]).exp();
+                assert!((f64::from(ratio) * normal.dot(&ray).abs() - 1.0).abs() <= 1e-3);
+            }
+        }
+    }
+
+    #[test]
+    fn disks_by_view_face_the_camera() {
+        let frame = wall(Vector3::new(0.6, -0.3, -1.0).normalize());
+        let detail = Image::filled(W, H, true);
+        let missing = Image::filled(W, H, true);
+        let config = SeedingConfig {
+            disks: Disks::View,
+            ..SeedingConfig::default()
+        };
+        let seeds = Seeder::new(&frame, pose(), &detail, &config).seeds(&missing, &[]);
+        for (i, mean) in seeds.gaussians.means.iter().enumerate() {
+            let ray = (Vector3::from(*mean).cast() - pose().translation).normalize();
+            assert!((axes(&seeds.gaussians, i).column(2) + ray).amax() <= 1e-5);
+            let logs = seeds.gaussians.log_scales[i];
+            assert!((logs[0] - logs[1]).abs() <= 1e-6);
+        }
+    }
+
+    #[test]
+    fn pixels_without_depth_are_left_out() {
+        let mut frame = wall(Vector3::new(0.0, 0.0, -1.0));
+        frame.depth_m.set(0, 0, 0.0);
+        frame.depth_m.set(2, 0, f32::NAN);
+        let detail = Image::filled(W, H, true);
+        let missing = Image::filled(W, H, true);
+        let config = SeedingConfig::default();
+        let seeder = Seeder::new(&frame, pose(), &detail, &config);
+        let point = NewPoint {
+            u: 0,
+            v: 0,
+            id: SparseId(0),
+        };
+        let seeds = seeder.seeds(&missing, &[point]);
+        assert_eq!(seeds.gaussians.len(), W / 2 * H / 2 - 2);
+        assert!(seeds.gaussians.means.iter().flatten().all(|x| x.is_finite()));
+    }
+}

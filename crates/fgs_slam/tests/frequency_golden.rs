@@ -2,6 +2,8 @@
 //!
 //! `tests/golden/frequency` holds drawn images with their masks and the script that made both.
 
+#![allow(clippy::unwrap_used)]
+
 use std::path::{Path, PathBuf};
 
 use fgs_geom::Image;

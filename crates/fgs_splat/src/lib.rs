@@ -1,6 +1,22 @@
 //! Gaussian splatting: gaussians, a differentiable rasteriser of colour, depth and alpha, losses,
-//! Adam, and PLY files. Knows nothing of SLAM.
+//! Adam, the [`GaussianModel`] that ties them together, and PLY files. Knows nothing of SLAM.
 
+mod adam;
+mod cpu;
+mod cpu_model;
 mod gaussians;
+mod losses;
+mod model;
+mod rendering;
+mod visibility;
 
-pub use gaussians::{Gaussians, SH0_FACTOR};
+pub use adam::{Adam, AdamError, LearningRates};
+pub use cpu::{Rasterizer, Real, RenderPass};
+pub use cpu_model::CpuModel;
+pub use gaussians::{Gaussian, Gaussians, SH0_FACTOR};
+pub use losses::{ImageLoss, LossError, LossSettings, Target, photometric_loss, scale_regularizer};
+pub use model::{
+    GaussianModel, ModelError, ModelSettings, PruneRule, Seeds, SparseChanges, SparseGaussian,
+    SparseId, StepStats, ViewId,
+};
+pub use rendering::{Cotangents, GaussianGradients, Rendered};

@@ -4,7 +4,7 @@
 use fgs_geom::View;
 use thiserror::Error;
 
-use crate::{AdamSettings, Gaussians, LossSettings, Rendered, Target};
+use crate::{AdamError, Gaussians, LearningRates, LossError, LossSettings, Rendered, Target};
 
 /// A registered view. Never reused, also not after [`GaussianModel::drop_view`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -76,12 +76,12 @@ pub struct SparseChanges {
 pub struct ModelSettings {
     /// The loss.
     pub loss: LossSettings,
-    /// The optimiser.
-    pub adam: AdamSettings,
+    /// The optimiser's step sizes.
+    pub learning_rates: LearningRates,
 }
 
 /// Why a model refuses a call.
-#[derive(Debug, Error, PartialEq, Eq)]
+#[derive(Debug, Error, PartialEq)]
 pub enum ModelError {
     /// The view was never registered or has been dropped.
     #[error("there is no view {0:?}")]
@@ -97,6 +97,12 @@ pub enum ModelError {
     /// The seeds' arrays have different lengths.
     #[error("seeds whose arrays have different lengths")]
     RaggedSeeds,
+    /// The view cannot be compared with its target.
+    #[error(transparent)]
+    Loss(#[from] LossError),
+    /// The optimiser refused its input.
+    #[error(transparent)]
+    Adam(#[from] AdamError),
 }
 
 /// A map of gaussians that can be rendered and optimised.

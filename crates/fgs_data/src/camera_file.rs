@@ -1,0 +1,292 @@
+//! The camera as users write it: `camera.toml`, a `[camera]` section, or Replica's
+//! `cam_params.json`.
+//!
+//! A [`CameraFile`] is checked when it is made, whichever way it comes, so it can be trusted
+//! everywhere else.
+
+use std::fs::File;
+use std::io::Read;
+use std::ops::Range;
+use std::path::Path;
+
+use fgs_geom::{Camera, CameraError, Distortion, Intrinsics};
+use serde::{Deserialize, Serialize};
+
+use crate::DataError;
+
+/// A camera file is seven numbers; this leaves room for comments.
+const MAX_FILE_BYTES: u64 = 64 * 1024;
+
+/// A hundred megapixels: more than any RGB-D sensor has, and few enough that a damaged file cannot
+/// exhaust the memory.
+const MAX_PIXELS: usize = 100_000_000;
+
+/// A camera, its lens and the unit of its depth images.
+///
+/// As text: `width`, `height` (pixels), `fx`, `fy`, `cx`, `cy` (pixels, pixel centres at integer
+/// coordinates), `depth_scale` (the value in a depth image that means 1 m) and, if the images
+/// are distorted, `distortion = [k1, k2, p1, p2, k3]`. Other keys are refused.
+#[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
+#[serde(try_from = "Keys", into = "Keys")]
+pub struct CameraFile {
+    camera: Camera,
+    distortion: Option<Distortion>,
+    depth_scale: f64,
+}
+
+#[derive(Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
+struct Keys {
+    width: usize,
+    height: usize,
+    fx: f64,
+    fy: f64,
+    cx: f64,
+    cy: f64,
+    depth_scale: f64,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    distortion: Option<[f64; 5]>,
+}
+
+/// Replica's `cam_params.json` as NICE-SLAM lays it out.
+#[derive(Deserialize)]
+struct ReplicaFile {
+    camera: ReplicaKeys,
+}
+
+#[derive(Deserialize)]
+struct ReplicaKeys {
+    w: usize,
+    h: usize,
+    fx: f64,
+    fy: f64,
+    cx: f64,
+    cy: f64,
+    scale: f64,
+}
+
+impl CameraFile {
+    /// A camera with plausible values: see [`Camera::new`]; at most 100 megapixels, a depth scale
+    /// from 1 to 1e6 a metre, distortion coefficients from -10 to 10.
+    ///
+    /// # Errors
+    /// Names the first value that is not plausible.
+    pub fn new(
+        camera: Camera,
+        distortion: Option<[f64; 5]>,
+        depth_scale: f64,
+    ) -> Result<Self, CameraError> {
+        let camera = Camera::new(camera.width, camera.height, camera.intrinsics)?;
+        let refuse = |key, value, expected: &str| {
+            Err(CameraError {
+                key,
+                value,
+                expected: expected.into(),
+            })
+        };
+        if camera.width * camera.height > MAX_PIXELS {
+            return refuse("height", camera.height as f64, "at most 100 megapixels");
+        }
+        if !(1.0..=1e6).contains(&depth_scale) {
+            return refuse("depth_scale", depth_scale, "1 to 1000000 (values a metre)");
+        }
+        for &value in distortion.iter().flatten() {
+            if !(-10.0..=10.0).contains(&value) {
+                return refuse("distortion", value, "coefficients from -10 to 10");
+            }
+        }
+        Ok(Self {
+            camera,
+            distortion: distortion.map(Distortion::from_array),
+            depth_scale,
+        })
+    }
+
+    /// Reads `camera.toml`.
+    ///
+    /// # Errors
+    /// The file cannot be read, or [`CameraFile::parse`] refuses it.
+    pub fn read(path: &Path) -> Result<Self, DataError> {
+        Self::parse(&read_small_file(path)?, path)
+    }
+
+    /// Parses the text of a camera file; `path` is where it came from, for messages.
+    ///
+    /// # Errors
+    /// No TOML, missing, unknown or implausible values; with path and key.
+    pub fn parse(text: &str, path: &Path) -> Result<Self, DataError> {
+        let keys: Keys = toml::from_str(text).map_err(|error| DataError::CameraFile {
+            path: path.into(),
+            line: error.span().and_then(|span| line_of(text, span)),
+            message: error.message().replace('\n', " "),
+        })?;
+        keys.checked(path)
+    }
+
+    /// Reads Replica's `cam_params.json`: `{"camera": {"w", "h", "fx", "fy", "cx", "cy", "scale"}}`.
+    pub(crate) fn read_replica(path: &Path) -> Result<Self, DataError> {
+        let file: ReplicaFile = serde_json::from_str(&read_small_file(path)?).map_err(|error| {
+            DataError::CameraFile {
+                path: path.into(),
+                line: Some(error.line()),
+                message: error.to_string(),
+            }
+        })?;
+        let ReplicaKeys {
+            w,
+            h,
+            fx,
+            fy,
+            cx,
+            cy,
+            scale,
+        } = file.camera;
+        Keys {
+            width: w,
+            height: h,
+            fx,
+            fy,
+            cx,
+            cy,
+            depth_scale: scale,
+            distortion: None,
+        }
+        .checked(path)
+    }
+
+    /// The pinhole camera.
+    pub fn camera(&self) -> &Camera {
+        &self.camera
+    }
+
+    /// The lens, if the images are distorted.
+    pub fn distortion(&self) -> Option<&Distortion> {
+        self.distortion.as_ref()
+    }
+
+    /// The value in a depth image that means 1 m.
+    pub fn depth_scale(&self) -> f64 {
+        self.depth_scale
+    }
+}
+
+impl Keys {
+    fn checked(self, path: &Path) -> Result<CameraFile, DataError> {
+        CameraFile::try_from(self).map_err(|source| DataError::Camera {
+            path: path.into(),
+            source,
+        })
+    }
+}
+
+impl TryFrom<Keys> for CameraFile {
+    type Error = CameraError;
+
+    fn try_from(keys: Keys) -> Result<Self, CameraError> {
+        let camera = Camera {
+            width: keys.width,
+            height: keys.height,
+            intrinsics: Intrinsics {
+                fx: keys.fx,
+                fy: keys.fy,
+                cx: keys.cx,
+                cy: keys.cy,
+            },
+        };
+        Self::new(camera, keys.distortion, keys.depth_scale)
+    }
+}
+
+impl From<CameraFile> for Keys {
+    fn from(file: CameraFile) -> Self {
+        let Intrinsics { fx, fy, cx, cy } = file.camera.intrinsics;
+        Self {
+            width: file.camera.width,
+            height: file.camera.height,
+            fx,
+            fy,
+            cx,
+            cy,
+            depth_scale: file.depth_scale,
+            distortion: file.distortion.map(|d| [d.k1, d.k2, d.p1, d.p2, d.k3]),
+        }
+    }
+}
+
+/// The line, from 1, that a span of bytes begins on; `None` for the empty span of what is missing.
+fn line_of(text: &str, span: Range<usize>) -> Option<usize> {
+    let before = text.get(..span.start)?;
+    (!span.is_empty()).then(|| before.matches('\n').count() + 1)
+}
+
+fn read_small_file(path: &Path) -> Result<String, DataError> {
+    let mut text = String::new();
+    File::open(path)
+        .and_then(|file| file.take(MAX_FILE_BYTES).read_to_string(&mut text))
+        .map_err(|source| DataError::Io {
+            path: path.into(),
+            source,
+        })?;
+    Ok(text)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const GOOD: &str = "width = 640\nheight = 480\nfx = 517.3\nfy = 516.5\ncx = 318.6\ncy = 255.3\n\
+                        depth_scale = 5000.0\ndistortion = [0.2624, -0.9531, -0.0054, 0.0026, 1.1633]\n";
+
+    fn refusal(text: &str) -> String {
+        CameraFile::parse(text, Path::new("dir/camera.toml"))
+            .unwrap_err()
+            .to_string()
+    }
+
+    #[test]
+    fn what_is_written_is_read() {
+        let file = CameraFile::parse(GOOD, Path::new("camera.toml")).unwrap();
+        assert_eq!((file.camera().width, file.camera().height), (640, 480));
+        assert_eq!(file.camera().intrinsics.cy, 255.3);
+        assert_eq!(file.depth_scale(), 5000.0);
+        assert_eq!(file.distortion().unwrap().k3, 1.1633);
+        let text = toml::to_string(&file).unwrap();
+        assert_eq!(toml::from_str::<CameraFile>(&text).unwrap(), file);
+    }
+
+    #[test]
+    fn refusals_name_file_and_key() {
+        assert_eq!(
+            refusal(&GOOD.replace("fx = 517.3\n", "")),
+            "dir/camera.toml: missing field `fx`"
+        );
+        let unknown = refusal(&GOOD.replace("fy =", "focal ="));
+        assert!(
+            unknown.starts_with("dir/camera.toml:4: unknown field `focal`"),
+            "{unknown}"
+        );
+        assert_eq!(
+            refusal(&GOOD.replace("517.3", "nan")),
+            "dir/camera.toml: fx = NaN is not possible: 64 to 64000 pixels"
+        );
+        assert_eq!(
+            refusal(&GOOD.replace("5000.0", "0")),
+            "dir/camera.toml: depth_scale = 0 is not possible: 1 to 1000000 (values a metre)"
+        );
+        assert!(refusal(&GOOD.replace("0.2624", "inf")).contains("distortion = inf"));
+        let huge = GOOD
+            .replace("640", "60000")
+            .replace("480", "60000")
+            .replace("51", "10051");
+        assert!(
+            refusal(&huge).contains("100 megapixels"),
+            "{}",
+            refusal(&huge)
+        );
+        let text = refusal(&GOOD.replace("517.3", "'wide'"));
+        assert!(text.starts_with("dir/camera.toml:3:"), "{text}");
+        let short = refusal(&GOOD.replace(", 1.1633", ""));
+        assert!(short.starts_with("dir/camera.toml:8:"), "{short}");
+        assert_eq!(refusal("").lines().count(), 1);
+    }
+}

@@ -1,0 +1,133 @@
+//! The layouts of recordings: which one a folder has, and what it lists.
+//!
+//! Each reader turns a folder into a [`Recording`]: file names, times and known poses. No image is
+//! opened here, and no reader knows the camera.
+
+mod folders;
+mod poses;
+mod replica;
+mod seven_scenes;
+mod tum;
+
+use std::fmt;
+use std::path::{Path, PathBuf};
+
+use crate::{DataError, Trajectory};
+
+/// Layouts without time stamps are given those of a sensor of this rate, frames a second: the one
+/// of the sensors and renderings that these layouts hold.
+const FRAME_RATE_HZ: f64 = 30.0;
+
+/// How a recording is laid out in its folder.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Format {
+    /// TUM RGB-D: `rgb.txt` and `depth.txt`, or `associations.txt`; `groundtruth.txt` if known.
+    Tum,
+    /// Replica as NICE-SLAM renders it: `results/frame*.jpg`, `results/depth*.png`; `traj.txt` if
+    /// known.
+    Replica,
+    /// 7-Scenes: `frame-*.color.png`, `frame-*.depth.png`; `frame-*.pose.txt` where known.
+    SevenScenes,
+    /// A folder `rgb`, `color`, `image` or `images` and a folder `depth`, paired in the order of
+    /// their file names; `traj.txt` or `groundtruth.txt` if known.
+    Folders,
+}
+
+impl fmt::Display for Format {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Tum => "TUM RGB-D",
+            Self::Replica => "Replica",
+            Self::SevenScenes => "7-Scenes",
+            Self::Folders => "folders",
+        })
+    }
+}
+
+/// What a folder holds. There is at least one frame, and times are strictly increasing.
+pub(crate) struct Recording {
+    pub frames: Vec<FrameFiles>,
+    /// The known poses at exactly the frames' times.
+    pub ground_truth: Option<Trajectory>,
+    /// The value in depth images that means "none", besides 0.
+    pub no_depth: u16,
+}
+
+/// One frame's files.
+pub(crate) struct FrameFiles {
+    pub timestamp_secs: f64,
+    pub color: PathBuf,
+    pub depth: PathBuf,
+}
+
+impl Format {
+    /// The layout of a folder, by the names in it.
+    pub(crate) fn of(folder: &Path) -> Result<Self, DataError> {
+        if !folder.is_dir() {
+            return Err(DataError::NotAFolder(folder.into()));
+        }
+        let has = |name: &str| folder.join(name).exists();
+        if has("rgb.txt") || has("depth.txt") || has("associations.txt") {
+            Ok(Self::Tum)
+        } else if has("results") {
+            Ok(Self::Replica)
+        } else if seven_scenes::is_laid_out_so(folder)? {
+            Ok(Self::SevenScenes)
+        } else if folders::color_folder(folder).is_some() && has("depth") {
+            Ok(Self::Folders)
+        } else {
+            Err(DataError::UnknownFormat(folder.into()))
+        }
+    }
+
+    /// Lists a folder of this layout. `max_difference_secs` is the most that the times of a colour
+    /// image and its depth image differ, where a layout has both.
+    pub(crate) fn list(
+        self,
+        folder: &Path,
+        max_difference_secs: f64,
+    ) -> Result<Recording, DataError> {
+        match self {
+            Self::Tum => tum::list(folder, max_difference_secs),
+            Self::Replica => replica::list(folder),
+            Self::SevenScenes => seven_scenes::list(folder),
+            Self::Folders => folders::list(folder),
+        }
+    }
+}
+
+/// Frames at the default rate from pairs of (colour, depth) files that exist.
+fn frames_at_default_rate(
+    pairs: impl IntoIterator<Item = (PathBuf, PathBuf)>,
+) -> Result<Vec<FrameFiles>, DataError> {
+    let frame = |(index, (color, depth)): (usize, (PathBuf, PathBuf))| {
+        if !depth.exists() {
+            return Err(DataError::NoDepth { color, depth });
+        }
+        Ok(FrameFiles {
+            timestamp_secs: index as f64 / FRAME_RATE_HZ,
+            color,
+            depth,
+        })
+    };
+    pairs.into_iter().enumerate().map(frame).collect()
+}
+
+/// The error for two files whose times, in seconds and increasing, have nothing in common.
+fn no_overlap(first: (&Path, &[f64]), second: (&Path, &[f64])) -> DataError {
+    let span = |times: &[f64]| Some((*times.first()?, *times.last()?));
+    let empty = |path: &Path| DataError::Empty {
+        path: path.into(),
+        what: "time stamp",
+    };
+    match (span(first.1), span(second.1)) {
+        (Some(first_span_secs), Some(second_span_secs)) => DataError::NoOverlap {
+            first: first.0.into(),
+            first_span_secs,
+            second: second.0.into(),
+            second_span_secs,
+        },
+        (None, _) => empty(first.0),
+        (_, None) => empty(second.0),
+    }
+}

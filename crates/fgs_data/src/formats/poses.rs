@@ -1,0 +1,90 @@
+//! Known poses as the layouts store them: 4x4 matrices, camera to world, row by row; or a
+//! trajectory file on the frames' clock.
+
+use std::path::Path;
+
+use fgs_geom::Se3;
+use nalgebra::Matrix4;
+
+use super::{FrameFiles, no_overlap};
+use crate::lines::{Line, Lines};
+use crate::{DataError, LineFault, Trajectory};
+
+/// Poses are interpolated over at most this long: a hand accelerating at 2 m/s^2 strays
+/// 2 * 0.1^2 / 8 m = 2.5 mm from the straight line meanwhile.
+const MAX_POSE_GAP_SECS: f64 = 0.1;
+
+/// `traj.txt`, if the folder has it: sixteen numbers a line, a line for each frame.
+pub(super) fn read_matrix_per_line(
+    folder: &Path,
+    frames: &[FrameFiles],
+    frames_path: &Path,
+) -> Result<Option<Trajectory>, DataError> {
+    let path = &folder.join("traj.txt");
+    if !path.exists() {
+        return Ok(None);
+    }
+    let mut lines = Lines::open(path)?;
+    let mut poses = Vec::new();
+    while let Some(line) = lines.next_line()? {
+        poses.push(pose(&line, line.numbers()?)?);
+    }
+    if poses.len() != frames.len() {
+        return Err(DataError::CountMismatch {
+            path: path.into(),
+            count: poses.len(),
+            other: frames_path.into(),
+            other_count: frames.len(),
+        });
+    }
+    Trajectory::new(frames.iter().map(|frame| frame.timestamp_secs).zip(poses)).map(Some)
+}
+
+/// `groundtruth.txt`, if the folder has it: the poses of those frames that it brackets in time.
+pub(super) fn read_ground_truth(
+    folder: &Path,
+    frames: &[FrameFiles],
+    frames_path: &Path,
+) -> Result<Option<Trajectory>, DataError> {
+    let path = &folder.join("groundtruth.txt");
+    if !path.exists() {
+        return Ok(None);
+    }
+    let recorded = Trajectory::read(path)?;
+    let at_frames = Trajectory::new(frames.iter().filter_map(|frame| {
+        let pose = recorded.interpolate(frame.timestamp_secs, MAX_POSE_GAP_SECS)?;
+        Some((frame.timestamp_secs, pose))
+    }))?;
+    if at_frames.poses().is_empty() {
+        let recorded_secs: Vec<_> = recorded.poses().iter().map(|p| p.timestamp_secs).collect();
+        let frame_secs: Vec<_> = frames.iter().map(|frame| frame.timestamp_secs).collect();
+        return Err(no_overlap(
+            (path, &recorded_secs),
+            (frames_path, &frame_secs),
+        ));
+    }
+    Ok(Some(at_frames))
+}
+
+/// One matrix in four lines of four numbers.
+pub(super) fn read_matrix(path: &Path) -> Result<Se3, DataError> {
+    let mut lines = Lines::open(path)?;
+    let mut values = Vec::with_capacity(16);
+    while let Some(line) = lines.next_line()? {
+        values.extend(line.numbers::<4>()?);
+        if let Ok(row_major) = values.as_slice().try_into() {
+            return pose(&line, row_major);
+        }
+    }
+    Err(DataError::Empty {
+        path: path.into(),
+        what: "matrix of four lines",
+    })
+}
+
+fn pose(line: &Line<'_>, row_major: [f64; 16]) -> Result<Se3, DataError> {
+    let matrix = Matrix4::from_row_slice(&row_major);
+    Se3::from_matrix(&matrix)
+        .filter(|_| row_major[12..] == [0.0, 0.0, 0.0, 1.0])
+        .ok_or_else(|| line.error(LineFault::Matrix))
+}

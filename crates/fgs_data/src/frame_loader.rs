@@ -1,0 +1,69 @@
+//! One frame from its two files: the only place where stored depth becomes metres and where lens
+//! distortion is removed.
+
+use fgs_geom::{Camera, FrameIndex, RgbdFrame, UndistortionMap};
+
+use crate::formats::FrameFiles;
+use crate::images::{read_color, read_depth};
+use crate::{CameraFile, DataError};
+
+/// All that decoding a frame takes; shared by the decoder threads.
+pub(crate) struct FrameLoader {
+    frames: Vec<FrameFiles>,
+    camera: Camera,
+    undistortion: Option<UndistortionMap>,
+    depth_scale: f32,
+    no_depth: u16,
+}
+
+impl FrameLoader {
+    pub fn new(frames: Vec<FrameFiles>, no_depth: u16, camera_file: &CameraFile) -> Self {
+        let camera = *camera_file.camera();
+        let undistortion = camera_file
+            .distortion()
+            .map(|lens| UndistortionMap::new(&camera, lens));
+        Self {
+            frames,
+            camera,
+            undistortion,
+            depth_scale: camera_file.depth_scale() as f32,
+            no_depth,
+        }
+    }
+
+    pub fn frames(&self) -> &[FrameFiles] {
+        &self.frames
+    }
+
+    pub fn camera(&self) -> &Camera {
+        &self.camera
+    }
+
+    pub fn load(&self, index: usize) -> Result<RgbdFrame, DataError> {
+        let files = self.frames.get(index).ok_or(DataError::NoSuchFrame {
+            index,
+            len: self.frames.len(),
+        })?;
+        let mut color = read_color(&files.color, &self.camera)?;
+        let mut depth_m = read_depth(&files.depth, &self.camera)?.map(|&value| {
+            let is_none = value == self.no_depth;
+            if is_none {
+                0.0
+            } else {
+                f32::from(value) / self.depth_scale
+            }
+        });
+        if let Some(map) = &self.undistortion {
+            // The map is made for this camera, whose size both images have.
+            color = map.color(&color).unwrap_or(color);
+            depth_m = map.depth(&depth_m).unwrap_or(depth_m);
+        }
+        Ok(RgbdFrame {
+            index: FrameIndex(index),
+            timestamp_secs: files.timestamp_secs,
+            color,
+            depth_m,
+            camera: self.camera,
+        })
+    }
+}

@@ -1,0 +1,132 @@
+//! Decoding one colour or depth image (PNG or JPEG).
+//!
+//! Size and pixel type are checked before any pixel is decoded, so memory is bounded by the
+//! camera's size whatever a file claims.
+
+use std::fs::File;
+use std::io::{Cursor, Read};
+use std::path::Path;
+
+use fgs_geom::{Camera, Image};
+use image::{DynamicImage, ImageDecoder, ImageError, ImageReader};
+
+use crate::DataError;
+
+/// More than the largest camera's image (100 megapixels of four bytes) takes uncompressed.
+const MAX_FILE_BYTES: u64 = 512 * 1024 * 1024;
+
+/// An image's columns and rows, from its header.
+pub(crate) fn read_size(path: &Path) -> Result<(u32, u32), DataError> {
+    open(path)?
+        .into_dimensions()
+        .map_err(|source| image_error(path, source))
+}
+
+/// A colour image with 8 bits a channel: grey is spread over the channels, alpha dropped.
+pub(crate) fn read_color(path: &Path, camera: &Camera) -> Result<Image<[u8; 3]>, DataError> {
+    let reader = open(path)?;
+    let decoder = reader
+        .into_decoder()
+        .map_err(|source| image_error(path, source))?;
+    let (_, bits) = channels_and_bits(&decoder);
+    if bits != 8 {
+        return Err(DataError::ColorBits {
+            path: path.into(),
+            bits,
+        });
+    }
+    let pixels = decode(decoder, path, camera)?.into_rgb8().into_raw();
+    into_image(pixels.as_chunks().0.to_vec(), path, camera)
+}
+
+/// A depth image of one 16-bit channel, values as in the file.
+pub(crate) fn read_depth(path: &Path, camera: &Camera) -> Result<Image<u16>, DataError> {
+    let reader = open(path)?;
+    let decoder = reader
+        .into_decoder()
+        .map_err(|source| image_error(path, source))?;
+    let (channels, bits) = channels_and_bits(&decoder);
+    if (channels, bits) != (1, 16) {
+        return Err(DataError::DepthBits {
+            path: path.into(),
+            channels,
+            bits,
+        });
+    }
+    let pixels = decode(decoder, path, camera)?.into_luma16().into_raw();
+    into_image(pixels, path, camera)
+}
+
+fn open(path: &Path) -> Result<ImageReader<Cursor<Vec<u8>>>, DataError> {
+    let io_error = |source| DataError::Io {
+        path: path.into(),
+        source,
+    };
+    let mut bytes = Vec::new();
+    File::open(path)
+        .and_then(|file| file.take(MAX_FILE_BYTES + 1).read_to_end(&mut bytes))
+        .map_err(io_error)?;
+    if bytes.len() as u64 > MAX_FILE_BYTES {
+        return Err(DataError::FileSize {
+            path: path.into(),
+            max_bytes: MAX_FILE_BYTES,
+        });
+    }
+    if bytes.starts_with(&[0xff, 0xd8]) && !is_complete_jpeg(&bytes) {
+        return Err(DataError::Truncated(path.into()));
+    }
+    ImageReader::new(Cursor::new(bytes))
+        .with_guessed_format()
+        .map_err(io_error)
+}
+
+/// Whether an end marker follows the last start of a scan. The JPEG decoder does not look: it
+/// fills what is missing with grey. (Neither marker can occur inside a scan.)
+fn is_complete_jpeg(bytes: &[u8]) -> bool {
+    const START_OF_SCAN: [u8; 2] = [0xff, 0xda];
+    const END_OF_IMAGE: [u8; 2] = [0xff, 0xd9];
+    let mut markers = bytes
+        .windows(2)
+        .rev()
+        .filter(|m| *m == START_OF_SCAN || *m == END_OF_IMAGE);
+    markers.next().is_some_and(|last| last == END_OF_IMAGE)
+}
+
+fn channels_and_bits(decoder: &impl ImageDecoder) -> (u8, u16) {
+    let color = decoder.color_type();
+    let channels = color.channel_count();
+    (channels, color.bits_per_pixel() / u16::from(channels))
+}
+
+fn decode(
+    decoder: impl ImageDecoder,
+    path: &Path,
+    camera: &Camera,
+) -> Result<DynamicImage, DataError> {
+    let (width, height) = decoder.dimensions();
+    if (width as usize, height as usize) != (camera.width, camera.height) {
+        return Err(size_error((width, height), path, camera));
+    }
+    DynamicImage::from_decoder(decoder).map_err(|source| image_error(path, source))
+}
+
+fn into_image<T>(pixels: Vec<T>, path: &Path, camera: &Camera) -> Result<Image<T>, DataError> {
+    Image::new(camera.width, camera.height, pixels).map_err(|_| size_error((0, 0), path, camera))
+}
+
+fn size_error((width, height): (u32, u32), path: &Path, camera: &Camera) -> DataError {
+    DataError::ImageSize {
+        path: path.into(),
+        width,
+        height,
+        camera_width: camera.width,
+        camera_height: camera.height,
+    }
+}
+
+fn image_error(path: &Path, source: ImageError) -> DataError {
+    DataError::Image {
+        path: path.into(),
+        source,
+    }
+}

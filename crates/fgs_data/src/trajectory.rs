@@ -1,0 +1,175 @@
+//! A trajectory and its text file: TUM's eight columns `timestamp tx ty tz qx qy qz qw`, seconds
+//! and metres, camera to world.
+//!
+//! The file's quaternion order, xyzw, exists in this file only. A [`Trajectory`] holds finite poses
+//! at strictly increasing times.
+
+use std::fs::{self, File};
+use std::io::{BufWriter, Write};
+use std::path::Path;
+
+use fgs_geom::Se3;
+
+use crate::lines::Lines;
+use crate::{DataError, LineFault};
+
+/// Files carry two digits of a quaternion at the very least; a length further from 1 means that
+/// the columns are something else.
+const MAX_QUATERNION_LENGTH_ERROR: f64 = 0.05;
+
+/// A thousand kilometres: single precision, in which maps are kept, is good to 6 cm there.
+const MAX_COORDINATE_M: f64 = 1e6;
+
+/// Where the camera was at one time.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct StampedPose {
+    /// Seconds on the recording's clock.
+    pub timestamp_secs: f64,
+    /// The camera's pose.
+    pub world_from_camera: Se3,
+}
+
+/// Poses at strictly increasing times, all finite.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Trajectory {
+    poses: Vec<StampedPose>,
+}
+
+impl Trajectory {
+    /// The trajectory through these poses, each with its time in seconds.
+    ///
+    /// # Errors
+    /// Names the first pose that is not finite or not later than the one before.
+    pub fn new(poses: impl IntoIterator<Item = (f64, Se3)>) -> Result<Self, DataError> {
+        let mut trajectory = Self::default();
+        for (index, (timestamp_secs, world_from_camera)) in poses.into_iter().enumerate() {
+            trajectory
+                .push(timestamp_secs, world_from_camera)
+                .map_err(|fault| DataError::Pose { index, fault })?;
+        }
+        Ok(trajectory)
+    }
+
+    fn push(&mut self, timestamp_secs: f64, world_from_camera: Se3) -> Result<(), LineFault> {
+        if !timestamp_secs.is_finite() {
+            return Err(LineFault::OutOfRange(timestamp_secs));
+        }
+        for &coordinate in world_from_camera.translation.iter() {
+            if !(-MAX_COORDINATE_M..=MAX_COORDINATE_M).contains(&coordinate) {
+                return Err(LineFault::OutOfRange(coordinate));
+            }
+        }
+        let length = world_from_camera.rotation.norm();
+        if !is_unit(length) {
+            return Err(LineFault::Quaternion(length));
+        }
+        if let Some(last) = self.poses.last()
+            && timestamp_secs <= last.timestamp_secs
+        {
+            return Err(LineFault::NotIncreasing {
+                previous: last.timestamp_secs,
+                current: timestamp_secs,
+            });
+        }
+        self.poses.push(StampedPose {
+            timestamp_secs,
+            world_from_camera,
+        });
+        Ok(())
+    }
+
+    /// Reads TUM's eight columns; `#` begins a comment.
+    ///
+    /// # Errors
+    /// The file cannot be read, or a line is not eight finite numbers, its quaternion's length is
+    /// not 1, or its time does not come after the line before; with path and line.
+    pub fn read(path: &Path) -> Result<Self, DataError> {
+        let mut trajectory = Self::default();
+        let mut lines = Lines::open(path)?;
+        while let Some(line) = lines.next_line()? {
+            let [timestamp_secs, tx, ty, tz, qx, qy, qz, qw] = line.numbers()?;
+            let length = [qx, qy, qz, qw]
+                .iter()
+                .fold(0.0, |sum: f64, q| sum.hypot(*q));
+            let pose = Se3::from_wxyz([qw, qx, qy, qz], [tx, ty, tz])
+                .filter(|_| is_unit(length))
+                .ok_or_else(|| line.error(LineFault::Quaternion(length)))?;
+            trajectory
+                .push(timestamp_secs, pose)
+                .map_err(|fault| line.error(fault))?;
+        }
+        Ok(trajectory)
+    }
+
+    /// Writes TUM's eight columns so that [`Trajectory::read`] gives the same numbers. The file
+    /// appears whole or not at all: it is written under another name and then renamed.
+    ///
+    /// # Errors
+    /// The file cannot be written.
+    pub fn write(&self, path: &Path) -> Result<(), DataError> {
+        let mut unfinished = path.as_os_str().to_owned();
+        unfinished.push(".unfinished");
+        let unfinished = Path::new(&unfinished);
+        let written = self
+            .write_lines(unfinished)
+            .and_then(|()| fs::rename(unfinished, path));
+        written.map_err(|source| {
+            // Best effort: the first error is the one to report.
+            let _ = fs::remove_file(unfinished);
+            DataError::Io {
+                path: path.into(),
+                source,
+            }
+        })
+    }
+
+    fn write_lines(&self, path: &Path) -> std::io::Result<()> {
+        let mut file = BufWriter::new(File::create(path)?);
+        writeln!(file, "# timestamp tx ty tz qx qy qz qw")?;
+        for pose in &self.poses {
+            let t = pose.world_from_camera.translation;
+            let q = pose.world_from_camera.rotation.coords; // xyzw
+            let seconds = pose.timestamp_secs;
+            writeln!(
+                file,
+                "{seconds} {} {} {} {} {} {} {}",
+                t.x, t.y, t.z, q.x, q.y, q.z, q.w
+            )?;
+        }
+        file.into_inner()?.sync_all()
+    }
+
+    /// The poses, in order of time.
+    pub fn poses(&self) -> &[StampedPose] {
+        &self.poses
+    }
+
+    /// The pose at exactly this time, if there is one.
+    pub fn at(&self, timestamp_secs: f64) -> Option<Se3> {
+        self.interpolate(timestamp_secs, 0.0)
+    }
+
+    /// The pose at a time: the one given for it, or else along the geodesic between its two
+    /// neighbours, if they are no more than `max_gap_secs` apart. `None` outside the trajectory.
+    pub fn interpolate(&self, timestamp_secs: f64, max_gap_secs: f64) -> Option<Se3> {
+        let next = self
+            .poses
+            .partition_point(|pose| pose.timestamp_secs < timestamp_secs);
+        let after = self.poses.get(next)?;
+        if after.timestamp_secs == timestamp_secs {
+            return Some(after.world_from_camera);
+        }
+        let before = self.poses.get(next.checked_sub(1)?)?;
+        let gap = after.timestamp_secs - before.timestamp_secs;
+        let t = (timestamp_secs - before.timestamp_secs) / gap;
+        (gap <= max_gap_secs).then(|| {
+            before
+                .world_from_camera
+                .interpolate(&after.world_from_camera, t)
+        })
+    }
+}
+
+fn is_unit(quaternion_length: f64) -> bool {
+    (quaternion_length - 1.0).abs() <= MAX_QUATERNION_LENGTH_ERROR
+}

@@ -1,0 +1,153 @@
+//! PSNR and SSIM against scikit-image (`golden/make_images.py`), and special images.
+
+#![allow(clippy::unwrap_used)]
+
+use fgs_eval::{EvalError, ImageQuality, MAX_PSNR_DB, image_quality, ssim};
+use fgs_geom::Image;
+
+type Images = (Image<[f32; 3]>, Image<[u8; 3]>, Image<f32>);
+
+/// The images of `golden/make_images.py`: render, target, measured depth.
+fn images(width: usize, height: usize) -> Images {
+    let target = Image::from_fn(width, height, |u, v| {
+        let checks = (u / 4 + v / 3) % 2 * 90;
+        [0, 1, 2].map(|c| ((3 * u + 2 * v + 40 * c + checks) % 256) as u8)
+    });
+    let render = Image::from_fn(width, height, |u, v| {
+        std::array::from_fn(|c| {
+            let noise = (7 * u * u + 13 * v + 5 * c * u + u * v) % 41;
+            (f64::from(target.at(u, v)[c]) / 255.0 + (noise as f64 / 100.0 - 0.2)) as f32
+        })
+    });
+    let depth_m = Image::from_fn(
+        width,
+        height,
+        |u, v| {
+            if (u + 2 * v) % 7 > 1 { 2.0 } else { 0.0 }
+        },
+    );
+    (render, target, depth_m)
+}
+
+/// The render that shows exactly the target.
+fn perfect(target: &Image<[u8; 3]>) -> Image<[f32; 3]> {
+    target.map(|pixel| pixel.map(|value| f32::from(value) / 255.0))
+}
+
+#[test]
+fn equals_scikit_image() {
+    let expected = [
+        (
+            (48, 37),
+            19.0334304981073,
+            19.0488251146558,
+            20.5086385081346,
+            0.878829973336865,
+        ),
+        (
+            (11, 11),
+            18.5646730641603,
+            18.328113949828,
+            19.8109831405569,
+            0.826820327670274,
+        ),
+        (
+            (23, 64),
+            18.9396678607505,
+            18.9235444675829,
+            20.3907295768983,
+            0.866668057259276,
+        ),
+    ];
+    for ((width, height), all, valid_depth, paper, ssim) in expected {
+        let (render, target, depth_m) = images(width, height);
+        let quality = image_quality(&render, &target, &depth_m).unwrap();
+        for (actual, expected) in [
+            (quality.psnr_db, all),
+            (quality.psnr_valid_depth_db.unwrap(), valid_depth),
+            (quality.psnr_paper_db, paper),
+            (quality.ssim, ssim),
+        ] {
+            let error = (actual - expected).abs();
+            assert!(error <= 1e-9, "{width}x{height}: {actual} for {expected}");
+        }
+    }
+}
+
+#[test]
+fn identical_images_reach_the_cap() {
+    let (_, target, depth_m) = images(30, 20);
+    let quality = image_quality(&perfect(&target), &target, &depth_m).unwrap();
+    assert_eq!(quality.psnr_db, MAX_PSNR_DB);
+    assert_eq!(quality.psnr_valid_depth_db, Some(MAX_PSNR_DB));
+    assert_eq!(quality.psnr_paper_db, MAX_PSNR_DB);
+    assert!((quality.ssim - 1.0).abs() <= 1e-6);
+}
+
+#[test]
+fn without_depth_only_the_papers_psnr_flatters() {
+    let (render, target, _) = images(30, 20);
+    let none = Image::filled(30, 20, f32::NAN);
+    let quality = image_quality(&render, &target, &none).unwrap();
+    assert_eq!(quality.psnr_valid_depth_db, None);
+    assert_eq!(quality.psnr_paper_db, MAX_PSNR_DB);
+    assert!(quality.psnr_db < 25.0);
+}
+
+#[test]
+fn flat_images() {
+    let black = Image::filled(16, 12, [0_u8; 3]);
+    let white = Image::filled(16, 12, [f32::INFINITY; 3]);
+    let depth_m = Image::filled(16, 12, 1.0);
+    let quality = image_quality(&white, &black, &depth_m).unwrap();
+    assert_eq!(quality.psnr_db, 0.0);
+    assert!(quality.ssim > 0.0 && quality.ssim <= 1e-4);
+    let same = ssim(&Image::filled(16, 12, [0.0; 3]), &black).unwrap();
+    assert_eq!(same, 1.0);
+}
+
+#[test]
+fn unusable_images_are_named() {
+    let (mut render, target, depth_m) = images(20, 15);
+    let (other, _, other_depth_m) = images(15, 20);
+    let unequal = EvalError::UnequalSizes {
+        a: (15, 20),
+        b: (20, 15),
+    };
+    assert_eq!(ssim(&other, &target), Err(unequal));
+    assert!(image_quality(&render, &target, &other_depth_m).is_err());
+    let (small, small_target, _) = images(20, 10);
+    assert!(matches!(
+        ssim(&small, &small_target),
+        Err(EvalError::TooSmall { minimum: 11, .. })
+    ));
+    render.set(7, 3, [0.5, f32::NAN, 0.5]);
+    let nan = Err(EvalError::NotANumber { u: 7, v: 3 });
+    assert_eq!(image_quality(&render, &target, &depth_m), nan);
+}
+
+#[test]
+fn mean_over_frames() {
+    let frame = |psnr_valid_depth_db, value: f64| ImageQuality {
+        psnr_valid_depth_db,
+        psnr_db: value,
+        psnr_paper_db: value + 1.0,
+        ssim: value / 64.0,
+    };
+    let mean = ImageQuality::mean(&[frame(Some(30.0), 20.0), frame(None, 40.0)]);
+    assert_eq!(mean, Some(frame(Some(30.0), 30.0)));
+    assert_eq!(ImageQuality::mean(&[]), None);
+}
+
+#[test]
+fn the_same_bits_for_any_number_of_threads() {
+    let (render, target, depth_m) = images(200, 150);
+    let with_threads = |threads| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads);
+        let pool = pool.build().unwrap();
+        pool.install(|| image_quality(&render, &target, &depth_m).unwrap())
+    };
+    let (one, many) = (with_threads(1), with_threads(16));
+    assert_eq!(one.ssim.to_bits(), many.ssim.to_bits());
+    assert_eq!(one, many);
+}

@@ -1,0 +1,402 @@
+//! The rasteriser on the CPU: gaussians and a view in, colour, depth and alpha out, and the way
+//! back from their derivatives to the gaussians'.
+//!
+//! Stages: project each gaussian and find the pixel blocks it touches (`project`, `bounds`), make
+//! a depth-sorted list for each tile (`tiles`), blend each tile (`sample`, `forward`); then each
+//! tile backwards (`backward`) and each gaussian back to its parameters (`project_vjp`).
+//! Invariant: every sum has a fixed order, so results do not depend on the number of threads.
+
+mod backward;
+mod bounds;
+mod forward;
+mod project;
+mod project_vjp;
+mod real;
+mod sample;
+mod tiles;
+
+use fgs_geom::{Image, View};
+use pulp::Arch;
+use rayon::prelude::*;
+
+use backward::{TileCotangents, blend_tile_vjp};
+use bounds::{BLOCKS, LANES, TILE, TileGrid, Touch, push_touches};
+use forward::{TileState, blend_tile};
+use project::{Projection, ScreenCamera, Splat};
+use project_vjp::{ParameterGradient, PixelSums, project_vjp};
+pub use real::Real;
+use sample::TilePixels;
+use tiles::{TileLists, Visible};
+
+use crate::{Cotangents, GaussianGradients, Gaussians, Rendered};
+
+/// Gaussians projected by one task.
+const CHUNK: usize = 2048;
+
+/// Renders gaussians. Owns the memory of a pass, so that passes of the same size allocate next to
+/// nothing.
+#[derive(Debug)]
+pub struct Rasterizer<T: Real = f32> {
+    /// Per gaussian; stale where it is not visible.
+    splats: Vec<Splat<T>>,
+    chunks: Vec<Chunk>,
+    visible: Vec<Visible>,
+    touches: Vec<Touch>,
+    lists: TileLists,
+    /// Per tile.
+    states: Vec<TileState<T>>,
+    /// Per entry of the tiles' lists.
+    contributed: Vec<bool>,
+    sums: Vec<PixelSums<T>>,
+    rendered: Rendered<T>,
+}
+
+/// What one task finds among its gaussians.
+#[derive(Debug, Default)]
+struct Chunk {
+    /// Their `touches_end` counts from the chunk's first touch.
+    visible: Vec<Visible>,
+    touches: Vec<Touch>,
+    /// Where the chunk's touches start among all.
+    first_touch: usize,
+    /// Gaussians that got a gradient.
+    touched: Vec<u32>,
+}
+
+/// A finished render, which can be differentiated. Borrows the gaussians, so that they cannot
+/// change in between.
+#[derive(Debug)]
+pub struct RenderPass<'a, T: Real = f32> {
+    scratch: &'a mut Rasterizer<T>,
+    gaussians: &'a Gaussians<T>,
+    camera: ScreenCamera<T>,
+    grid: TileGrid,
+}
+
+impl<T: Real> Default for Rasterizer<T> {
+    fn default() -> Self {
+        Self {
+            splats: Vec::new(),
+            chunks: Vec::new(),
+            visible: Vec::new(),
+            touches: Vec::new(),
+            lists: TileLists::default(),
+            states: Vec::new(),
+            contributed: Vec::new(),
+            sums: Vec::new(),
+            rendered: empty_images(0, 0),
+        }
+    }
+}
+
+fn empty_images<T: Real>(width: usize, height: usize) -> Rendered<T> {
+    Rendered {
+        color: Image::filled(width, height, [T::ZERO; 3]),
+        depth_m: Image::filled(width, height, T::ZERO),
+        alpha: Image::filled(width, height, T::ZERO),
+    }
+}
+
+impl<T: Real> Rasterizer<T> {
+    /// Renders a view. Damaged gaussians (a value not finite or absurd, a zero quaternion) are
+    /// not drawn.
+    ///
+    /// # Panics
+    /// If the gaussians' arrays differ in length.
+    pub fn render<'a>(
+        &'a mut self,
+        gaussians: &'a Gaussians<T>,
+        view: &View,
+    ) -> RenderPass<'a, T> {
+        let camera = ScreenCamera::new(view);
+        let grid = TileGrid::new(camera.width, camera.height);
+        self.project(gaussians, &camera, &grid);
+        self.lists.fill::<T>(&grid, &self.visible, &self.touches);
+        self.blend(&camera, &grid);
+        RenderPass {
+            scratch: self,
+            gaussians,
+            camera,
+            grid,
+        }
+    }
+
+    /// Fills `splats`, `visible` and `touches`.
+    fn project(&mut self, gaussians: &Gaussians<T>, camera: &ScreenCamera<T>, grid: &TileGrid) {
+        let arch = Arch::new();
+        self.splats.resize_with(gaussians.len(), Splat::default);
+        let tasks = gaussians.len().div_ceil(CHUNK);
+        self.chunks.resize_with(tasks, Chunk::default);
+        self.splats
+            .par_chunks_mut(CHUNK)
+            .zip(&mut self.chunks)
+            .enumerate()
+            .for_each(|(task, (splats, chunk))| {
+                chunk.visible.clear();
+                chunk.touches.clear();
+                arch.dispatch(
+                    #[inline(always)]
+                    || {
+                        for (index, splat) in (task * CHUNK..).zip(splats) {
+                            let Some(projection) = Projection::new(gaussians, index, camera)
+                            else {
+                                continue;
+                            };
+                            *splat = projection.splat(camera);
+                            let before = chunk.touches.len();
+                            push_touches(splat, grid, &mut chunk.touches);
+                            if chunk.touches.len() > before {
+                                chunk.visible.push(Visible {
+                                    depth_key: splat.center_depth.sort_key(),
+                                    gaussian: index as u32,
+                                    touches_end: chunk.touches.len() as u32,
+                                });
+                            }
+                        }
+                    },
+                );
+            });
+        self.visible.clear();
+        self.touches.clear();
+        for chunk in &mut self.chunks {
+            chunk.first_touch = self.touches.len();
+            let first_touch = chunk.first_touch as u32;
+            self.visible
+                .extend(chunk.visible.iter().map(|&visible| Visible {
+                    touches_end: visible.touches_end + first_touch,
+                    ..visible
+                }));
+            self.touches.extend_from_slice(&chunk.touches);
+        }
+    }
+
+    /// Fills `rendered`, `states` and `contributed`.
+    fn blend(&mut self, camera: &ScreenCamera<T>, grid: &TileGrid) {
+        let arch = Arch::new();
+        let Self {
+            splats,
+            lists,
+            states,
+            contributed,
+            rendered,
+            ..
+        } = self;
+        if (rendered.alpha.width(), rendered.alpha.height()) != (grid.width, grid.height) {
+            *rendered = empty_images(grid.width, grid.height);
+        }
+        states.resize_with(grid.len(), TileState::default);
+        contributed.resize(lists.entries.len(), false);
+        let row_pixels = TILE * grid.width.max(1);
+        (
+            rendered.color.data_mut().par_chunks_mut(row_pixels),
+            rendered.depth_m.data_mut().par_chunks_mut(row_pixels),
+            rendered.alpha.data_mut().par_chunks_mut(row_pixels),
+            states.par_chunks_mut(grid.columns.max(1)),
+            split_by_tile_row(contributed, lists, grid),
+        )
+            .into_par_iter()
+            .enumerate()
+            .for_each(|(row, (color, depth_m, alpha, states, mut contributed))| {
+                for (column, state) in states.iter_mut().enumerate() {
+                    let tile = row * grid.columns + column;
+                    let entries = lists.of_tile(tile);
+                    let (tile_contributed, rest) =
+                        std::mem::take(&mut contributed).split_at_mut(entries.len());
+                    contributed = rest;
+                    arch.dispatch(
+                        #[inline(always)]
+                        || {
+                            let pixels = TilePixels::new(tile, grid, camera);
+                            *state = TileState::default();
+                            pixels.for_each_pixel(grid, |block, lane, _, _| {
+                                state.transmittance[block][lane] = T::ONE;
+                            });
+                            let image =
+                                blend_tile(&pixels, entries, splats, state, tile_contributed);
+                            pixels.for_each_pixel(grid, |block, lane, u, v| {
+                                let pixel = (v - row * TILE) * grid.width + u;
+                                color[pixel] = image.color[block].map(|channel| channel[lane]);
+                                depth_m[pixel] = image.depth[block][lane];
+                                alpha[pixel] = T::ONE - state.transmittance[block][lane];
+                            });
+                        },
+                    );
+                }
+            });
+    }
+}
+
+impl<T: Real> RenderPass<'_, T> {
+    /// The images.
+    pub fn rendered(&self) -> &Rendered<T> {
+        &self.scratch.rendered
+    }
+
+    /// The gaussians that contributed to a pixel, ascending.
+    pub fn visible(&self) -> Vec<u32> {
+        let Rasterizer {
+            visible,
+            lists,
+            contributed,
+            ..
+        } = &*self.scratch;
+        let mut start = 0;
+        visible
+            .iter()
+            .filter_map(|gaussian| {
+                let end = gaussian.touches_end as usize;
+                let entries = &lists.entry_from_touch[start..end];
+                start = end;
+                let hit = entries.iter().any(|&entry| contributed[entry as usize]);
+                hit.then_some(gaussian.gaussian)
+            })
+            .collect()
+    }
+
+    /// The loss's derivatives by the gaussians' parameters, from those by the images.
+    /// `gradients` is reset first.
+    ///
+    /// # Panics
+    /// If the cotangents' images are not of the camera's size.
+    pub fn vjp(&mut self, cotangents: &Cotangents<T>, gradients: &mut GaussianGradients<T>) {
+        self.blend_vjp(cotangents);
+        gradients.reset(self.gaussians.len());
+        self.project_vjp(gradients);
+    }
+
+    /// Fills `sums`.
+    fn blend_vjp(&mut self, cotangents: &Cotangents<T>) {
+        let arch = Arch::new();
+        let Rasterizer {
+            splats,
+            lists,
+            states,
+            contributed,
+            sums,
+            ..
+        } = &mut *self.scratch;
+        let (grid, camera) = (&self.grid, &self.camera);
+        sums.resize_with(lists.entries.len(), PixelSums::default);
+        split_by_tile_row(sums, lists, grid)
+            .into_par_iter()
+            .enumerate()
+            .for_each(|(row, mut sums)| {
+                for tile in row * grid.columns..(row + 1) * grid.columns {
+                    let entries = lists.of_tile(tile);
+                    let (tile_sums, rest) = std::mem::take(&mut sums).split_at_mut(entries.len());
+                    sums = rest;
+                    arch.dispatch(
+                        #[inline(always)]
+                        || {
+                            let pixels = TilePixels::new(tile, grid, camera);
+                            let mut tile_cotangents = TileCotangents {
+                                d_pixel: [[[T::ZERO; LANES]; 5]; BLOCKS],
+                            };
+                            pixels.for_each_pixel(grid, |block, lane, u, v| {
+                                let [red, green, blue] = cotangents.d_color.at(u, v);
+                                let depth = cotangents.d_depth_m.at(u, v);
+                                let alpha = cotangents.d_alpha.at(u, v);
+                                for (lanes, value) in tile_cotangents.d_pixel[block]
+                                    .iter_mut()
+                                    .zip([red, green, blue, depth, alpha])
+                                {
+                                    lanes[lane] = value;
+                                }
+                            });
+                            blend_tile_vjp(
+                                &pixels,
+                                entries,
+                                splats,
+                                &states[tile],
+                                &contributed[lists.range(tile)],
+                                &tile_cotangents,
+                                tile_sums,
+                            );
+                        },
+                    );
+                }
+            });
+    }
+
+    /// Adds up each gaussian's sums and carries them to its parameters.
+    fn project_vjp(&mut self, gradients: &mut GaussianGradients<T>) {
+        let arch = Arch::new();
+        let Rasterizer {
+            chunks,
+            lists,
+            contributed,
+            sums,
+            ..
+        } = &mut *self.scratch;
+        let (gaussians, camera) = (self.gaussians, &self.camera);
+        (
+            chunks.par_iter_mut(),
+            gradients.d_means.par_chunks_mut(CHUNK),
+            gradients.d_quats.par_chunks_mut(CHUNK),
+            gradients.d_log_scales.par_chunks_mut(CHUNK),
+            gradients.d_opacity_logits.par_chunks_mut(CHUNK),
+            gradients.d_sh.par_chunks_mut(CHUNK),
+        )
+            .into_par_iter()
+            .for_each(|(chunk, d_means, d_quats, d_log_scales, d_logits, d_sh)| {
+                chunk.touched.clear();
+                arch.dispatch(
+                    #[inline(always)]
+                    || {
+                        let mut start = chunk.first_touch;
+                        for visible in &chunk.visible {
+                            let end = chunk.first_touch + visible.touches_end as usize;
+                            let mut total = PixelSums::default();
+                            let mut hit = false;
+                            for &entry in &lists.entry_from_touch[start..end] {
+                                let entry = entry as usize;
+                                if contributed[entry] {
+                                    hit = true;
+                                    total.add(&sums[entry]);
+                                }
+                            }
+                            start = end;
+                            let index = visible.gaussian as usize;
+                            let projection = Projection::new(gaussians, index, camera);
+                            if let (true, Some(projection)) = (hit, projection) {
+                                let ParameterGradient {
+                                    d_mean,
+                                    d_quat,
+                                    d_log_scale,
+                                    d_opacity_logit,
+                                    d_sh: d_sh_one,
+                                } = project_vjp(&projection, camera, &total);
+                                let local = index % CHUNK;
+                                d_means[local] = d_mean;
+                                d_quats[local] = d_quat;
+                                d_log_scales[local] = d_log_scale;
+                                d_logits[local] = d_opacity_logit;
+                                d_sh[local] = d_sh_one;
+                                chunk.touched.push(visible.gaussian);
+                            }
+                        }
+                    },
+                );
+            });
+        for chunk in chunks {
+            gradients.touched.extend_from_slice(&chunk.touched);
+        }
+    }
+}
+
+/// One slice of `items` (one per list entry) for each row of tiles.
+fn split_by_tile_row<'a, X>(
+    mut items: &'a mut [X],
+    lists: &TileLists,
+    grid: &TileGrid,
+) -> Vec<&'a mut [X]> {
+    (0..grid.rows)
+        .map(|row| {
+            let tiles = row * grid.columns..(row + 1) * grid.columns;
+            let len = lists.starts[tiles.end] - lists.starts[tiles.start];
+            let (first, rest) = std::mem::take(&mut items).split_at_mut(len);
+            items = rest;
+            first
+        })
+        .collect()
+}

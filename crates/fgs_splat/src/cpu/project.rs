@@ -1,0 +1,295 @@
+//! One gaussian from world axes to the screen: covariance by the local affine projection with a
+//! low-pass, in a factored form that neither loses digits nor needs a matrix inverse, and the
+//! plane of its disk for the depth.
+//!
+//! [`Projection`] keeps what the derivative needs; [`Splat`] is what the blending reads.
+
+use fgs_geom::View;
+
+use super::real::Real;
+use crate::Gaussians;
+use crate::gaussians::SH0_FACTOR;
+use crate::rendering::{
+    ALPHA_MIN, FRUSTUM_MARGIN, LOW_PASS_PX2, MAX_MAGNITUDE, MAX_VARIANCE_PX2, MIN_QUAT_NORM2,
+    NEAR_M,
+};
+
+/// sqrt(log2(e) / 2): with the whitening scaled by it, `exp(-|y|^2 / 2) = 2^-(p^2 + q^2)`.
+pub(super) const WHITEN_SCALE: f64 = 0.849_321_800_288_019_1;
+
+/// A view in the rasteriser's number type.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct ScreenCamera<T> {
+    pub width: usize,
+    pub height: usize,
+    /// Focal lengths x, y and principal point x, y, pixels.
+    pub focal: [T; 2],
+    pub center: [T; 2],
+    /// Per axis, the range of x/z (y/z) in which the projection is linearised where it is.
+    pub tangent_min: [T; 2],
+    pub tangent_max: [T; 2],
+    /// Row-major.
+    pub camera_from_world: [[T; 3]; 3],
+    /// The camera's position in the world, metres.
+    pub position: [T; 3],
+}
+
+impl<T: Real> ScreenCamera<T> {
+    pub fn new(view: &View) -> Self {
+        let camera = &view.camera;
+        let k = &camera.intrinsics;
+        let rotation = view
+            .world_from_camera
+            .rotation
+            .to_rotation_matrix()
+            .transpose();
+        let tangents = |size: usize, focal: f64, center: f64| {
+            let middle = (0.5 * (size as f64 - 1.0) - center) / focal;
+            let half = FRUSTUM_MARGIN * 0.5 * size as f64 / focal;
+            (T::from_f64(middle - half), T::from_f64(middle + half))
+        };
+        let (x_min, x_max) = tangents(camera.width, k.fx, k.cx);
+        let (y_min, y_max) = tangents(camera.height, k.fy, k.cy);
+        let position = view.world_from_camera.translation;
+        Self {
+            width: camera.width,
+            height: camera.height,
+            focal: [k.fx, k.fy].map(T::from_f64),
+            center: [k.cx, k.cy].map(T::from_f64),
+            tangent_min: [x_min, y_min],
+            tangent_max: [x_max, y_max],
+            camera_from_world: std::array::from_fn(|row| {
+                std::array::from_fn(|column| T::from_f64(rotation[(row, column)]))
+            }),
+            position: std::array::from_fn(|axis| T::from_f64(position[axis])),
+        }
+    }
+}
+
+/// A gaussian as the blending sees it. 64 bytes in `f32`: one cache line.
+///
+/// With `dx = u - mean2d[0]`, `dy = v - mean2d[1]`, `p = whiten_xx dx + whiten_xy dy` and
+/// `q = whiten_yy dy`, its alpha is `opacity 2^-(p^2 + q^2)`.
+#[derive(Clone, Copy, Debug, Default)]
+#[repr(C, align(64))]
+pub(super) struct Splat<T> {
+    /// Pixels.
+    pub mean2d: [T; 2],
+    pub whiten_xx: T,
+    pub whiten_xy: T,
+    pub whiten_yy: T,
+    pub opacity: T,
+    /// RGB, not negative.
+    pub color: [T; 3],
+    /// z of the centre, metres.
+    pub center_depth: T,
+    /// `normal . ray(u, v) = plane[0] + plane[1] dx + plane[2] dy`, the normal turned so that
+    /// `plane_offset` is positive. Where it never is, `plane[0] = -1` with slope 0.
+    pub plane: [T; 3],
+    /// `normal . center`, metres: depth = plane_offset / (normal . ray).
+    pub plane_offset: T,
+    /// Largest `p^2 + q^2` at which alpha reaches `ALPHA_MIN`.
+    pub support: T,
+}
+
+/// A projected gaussian with what its derivative needs.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Projection<T> {
+    /// Centre in camera axes, metres.
+    pub center: [T; 3],
+    /// x/z and y/z of the centre, and where the projection is linearised.
+    pub tangent: [T; 2],
+    pub clamped_tangent: [T; 2],
+    pub quat_norm: T,
+    /// Unit quaternion wxyz.
+    pub unit_quat: [T; 4],
+    pub scales: [T; 3],
+    /// Row-major.
+    pub camera_from_gaussian: [[T; 3]; 3],
+    /// J camera_from_gaussian diag(scales): `cov2d = half half^T + LOW_PASS_PX2 I`.
+    pub half_cov: [[T; 3]; 2],
+    /// xx, xy, yy, px^2.
+    pub cov2d: [T; 3],
+    pub det: T,
+    pub opacity: T,
+    /// Before it is cut at 0.
+    pub raw_color: [T; 3],
+}
+
+#[inline(always)]
+pub(super) fn dot<T: Real>(a: &[T; 3], b: &[T; 3]) -> T {
+    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+}
+
+/// The rotation matrix of a unit quaternion wxyz, row-major.
+#[inline(always)]
+fn rotation_matrix<T: Real>([w, x, y, z]: [T; 4]) -> [[T; 3]; 3] {
+    let one = T::ONE;
+    let two = one + one;
+    [
+        [
+            one - two * (y * y + z * z),
+            two * (x * y - w * z),
+            two * (x * z + w * y),
+        ],
+        [
+            two * (x * y + w * z),
+            one - two * (x * x + z * z),
+            two * (y * z - w * x),
+        ],
+        [
+            two * (x * z - w * y),
+            two * (y * z + w * x),
+            one - two * (x * x + y * y),
+        ],
+    ]
+}
+
+impl<T: Real> Projection<T> {
+    /// Projects gaussian `index`. `None` if it is too near, too faint, or damaged (see the limits
+    /// in `rendering.rs`).
+    #[inline(always)]
+    pub fn new(gaussians: &Gaussians<T>, index: usize, camera: &ScreenCamera<T>) -> Option<Self> {
+        let mean = gaussians.means[index];
+        let relative: [T; 3] = std::array::from_fn(|axis| mean[axis] - camera.position[axis]);
+        let rotation = &camera.camera_from_world;
+        let center: [T; 3] = std::array::from_fn(|row| dot(&rotation[row], &relative));
+        let z = center[2];
+        // Written so that NaN fails.
+        if !(z >= T::from_f64(NEAR_M)) {
+            return None;
+        }
+
+        let quat = gaussians.quats[index];
+        let log_scales = gaussians.log_scales[index];
+        let logit = gaussians.opacity_logits[index];
+        let sh = gaussians.sh[index];
+        let max = T::from_f64(MAX_MAGNITUDE);
+        let sane = |values: &[T]| values.iter().all(|value| value.abs() <= max);
+        let quat_norm2 =
+            quat[0] * quat[0] + quat[1] * quat[1] + quat[2] * quat[2] + quat[3] * quat[3];
+        if !(sane(&mean)
+            && sane(&quat)
+            && sane(&log_scales)
+            && sane(&[logit])
+            && sane(&sh)
+            && quat_norm2 >= T::from_f64(MIN_QUAT_NORM2))
+        {
+            return None;
+        }
+        let scales = log_scales.map(T::exp);
+        let opacity = T::ONE / (T::ONE + (-logit).exp());
+        if !(sane(&scales) && opacity >= T::from_f64(ALPHA_MIN)) {
+            return None;
+        }
+
+        let quat_norm = quat_norm2.sqrt();
+        let unit_quat = quat.map(|q| q / quat_norm);
+        let world_from_gaussian = rotation_matrix(unit_quat);
+        let camera_from_gaussian: [[T; 3]; 3] = std::array::from_fn(|row| {
+            std::array::from_fn(|column| {
+                rotation[row][0] * world_from_gaussian[0][column]
+                    + rotation[row][1] * world_from_gaussian[1][column]
+                    + rotation[row][2] * world_from_gaussian[2][column]
+            })
+        });
+        let tangent = [center[0] / z, center[1] / z];
+        let clamped_tangent: [T; 2] = std::array::from_fn(|axis| {
+            tangent[axis]
+                .max(camera.tangent_min[axis])
+                .min(camera.tangent_max[axis])
+        });
+        let half_cov: [[T; 3]; 2] = std::array::from_fn(|row| {
+            let focal = camera.focal[row] / z;
+            std::array::from_fn(|k| {
+                focal
+                    * (camera_from_gaussian[row][k]
+                        - clamped_tangent[row] * camera_from_gaussian[2][k])
+                    * scales[k]
+            })
+        });
+        let low_pass = T::from_f64(LOW_PASS_PX2);
+        let [bx, by] = &half_cov;
+        let (xx, xy, yy) = (dot(bx, bx), dot(bx, by), dot(by, by));
+        let cross = [
+            bx[1] * by[2] - bx[2] * by[1],
+            bx[2] * by[0] - bx[0] * by[2],
+            bx[0] * by[1] - bx[1] * by[0],
+        ];
+        // det(half half^T + l I) as a sum of positive terms: xx yy - xy^2 would cancel.
+        let det = dot(&cross, &cross) + low_pass * (xx + yy + low_pass);
+        let max_variance = T::from_f64(MAX_VARIANCE_PX2);
+        if !(xx <= max_variance && yy <= max_variance) {
+            return None;
+        }
+        let raw_color =
+            sh.map(|coefficient| T::from_f64(0.5) + T::from_f64(SH0_FACTOR) * coefficient);
+        Some(Self {
+            center,
+            tangent,
+            clamped_tangent,
+            quat_norm,
+            unit_quat,
+            scales,
+            camera_from_gaussian,
+            half_cov,
+            cov2d: [xx + low_pass, xy, yy + low_pass],
+            det,
+            opacity,
+            raw_color,
+        })
+    }
+
+    /// The Cholesky factor L^T of the inverse covariance: rows (xx, xy), (0, yy).
+    #[inline(always)]
+    pub fn whitening(&self) -> [T; 3] {
+        let [_, xy, yy] = self.cov2d;
+        let whiten_xx = (yy / self.det).sqrt();
+        [whiten_xx, -whiten_xx * xy / yy, T::ONE / yy.sqrt()]
+    }
+
+    /// The disk's normal (third axis) in camera axes, turned so that the second value, its dot
+    /// product with the centre, is not negative.
+    #[inline(always)]
+    pub fn normal(&self) -> ([T; 3], T) {
+        let normal: [T; 3] = std::array::from_fn(|row| self.camera_from_gaussian[row][2]);
+        let offset = dot(&normal, &self.center);
+        if offset < T::ZERO {
+            (normal.map(|n| -n), -offset)
+        } else {
+            (normal, offset)
+        }
+    }
+
+    #[inline(always)]
+    pub fn splat(&self, camera: &ScreenCamera<T>) -> Splat<T> {
+        let scale = T::from_f64(WHITEN_SCALE);
+        let [whiten_xx, whiten_xy, whiten_yy] = self.whitening();
+        let (normal, plane_offset) = self.normal();
+        let z = self.center[2];
+        let plane = if plane_offset > T::ZERO {
+            [
+                plane_offset / z,
+                normal[0] / camera.focal[0],
+                normal[1] / camera.focal[1],
+            ]
+        } else {
+            [-T::ONE, T::ZERO, T::ZERO]
+        };
+        let log2_e = T::from_f64(std::f64::consts::LOG2_E);
+        Splat {
+            mean2d: std::array::from_fn(|axis| {
+                camera.focal[axis] * self.tangent[axis] + camera.center[axis]
+            }),
+            whiten_xx: whiten_xx * scale,
+            whiten_xy: whiten_xy * scale,
+            whiten_yy: whiten_yy * scale,
+            opacity: self.opacity,
+            color: self.raw_color.map(|c| c.max(T::ZERO)),
+            center_depth: z,
+            plane,
+            plane_offset,
+            support: log2_e * (self.opacity / T::from_f64(ALPHA_MIN)).ln(),
+        }
+    }
+}

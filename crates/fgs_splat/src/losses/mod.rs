@@ -1,0 +1,224 @@
+//! What a rendered view is compared with, and by how much it is wrong.
+//!
+//! Input: rendered colour, depth and alpha, and the measured images. Output: the loss of Eq. (16)
+//! and its derivative by every rendered value; [`scale_regularizer`] adds Eq. (15).
+//! One validity mask serves every term: depth counts where it was measured, and colour either
+//! there or everywhere. Each mean is over the valid pixels.
+//!
+//! Differs from the paper: its code drops every value whose target is zero (black colour channels
+//! too) and divides by all pixels.
+
+mod blur;
+mod color;
+mod depth;
+mod l1;
+mod regularizer;
+mod ssim;
+#[cfg(test)]
+mod tests;
+
+pub use regularizer::scale_regularizer;
+
+use fgs_geom::{Image, has_depth};
+use rayon::prelude::*;
+use thiserror::Error;
+
+/// Weights and choices of the loss. The weights are those of the published system.
+#[derive(Clone, Debug, PartialEq)]
+pub struct LossSettings {
+    /// Weight of the mean absolute colour error, colours in 0..1.
+    pub l1_weight: f32,
+    /// Weight of `1 - SSIM`.
+    pub ssim_weight: f32,
+    /// Weight of the mean absolute depth error in units of 10 m.
+    pub depth_weight: f32,
+    /// Weight of [`scale_regularizer`].
+    pub scale_weight: f32,
+    /// Whether colour is compared only where depth was measured, else everywhere.
+    pub mask_color_by_depth: bool,
+    /// Whether the rendered depth, a sum of `weight * z`, is divided by the rendered alpha before
+    /// it is compared.
+    pub normalize_depth: bool,
+}
+
+impl Default for LossSettings {
+    fn default() -> Self {
+        Self {
+            l1_weight: 0.8,
+            ssim_weight: 0.2,
+            depth_weight: 0.1,
+            scale_weight: 10.0,
+            mask_color_by_depth: true,
+            normalize_depth: false,
+        }
+    }
+}
+
+/// The measured images of a view. Colour stays in bytes: there is one target per keyframe.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Target {
+    color: Image<[u8; 3]>,
+    depth_m: Image<f32>,
+    measured: usize,
+}
+
+impl Target {
+    /// From colour and depth (metres, 0 or non-finite where there is none).
+    ///
+    /// # Errors
+    /// If the sizes differ.
+    pub fn new(color: Image<[u8; 3]>, depth_m: Image<f32>) -> Result<Self, LossError> {
+        check_size("depth", &depth_m, &color)?;
+        let measured = depth_m.data().iter().filter(|d| has_depth(**d)).count();
+        Ok(Self {
+            color,
+            depth_m,
+            measured,
+        })
+    }
+
+    /// Measured colour.
+    pub fn color(&self) -> &Image<[u8; 3]> {
+        &self.color
+    }
+
+    /// Measured depth in metres, 0 or non-finite where there is none.
+    pub fn depth_m(&self) -> &Image<f32> {
+        &self.depth_m
+    }
+}
+
+/// The loss of one view, without the regulariser, and its derivatives by the rendered values.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ImageLoss {
+    /// Weighted sum of the three parts.
+    pub total: f64,
+    /// Mean absolute colour error over valid pixels and channels.
+    pub l1: f64,
+    /// Mean SSIM over valid pixels and channels, 1 if no pixel is valid.
+    pub ssim: f64,
+    /// Mean absolute depth error over measured pixels, in units of 10 m.
+    pub depth: f64,
+    /// Derivative of `total` by the rendered colour.
+    pub d_color: Image<[f32; 3]>,
+    /// Derivative of `total` by the rendered depth, per metre.
+    pub d_depth_m: Image<f32>,
+    /// Derivative of `total` by the rendered alpha: zero unless depth is normalised.
+    pub d_alpha: Image<f32>,
+}
+
+/// Why there is no loss.
+#[derive(Debug, Error, PartialEq)]
+pub enum LossError {
+    /// Two images that belong together differ in size.
+    #[error(
+        "{what} is {width}x{height}, but the target's colour is {target_width}x{target_height}"
+    )]
+    Size {
+        /// Which image.
+        what: &'static str,
+        /// Its columns.
+        width: usize,
+        /// Its rows.
+        height: usize,
+        /// Columns of the target's colour.
+        target_width: usize,
+        /// Rows of the target's colour.
+        target_height: usize,
+    },
+    /// A rendered value is not finite, or so large that its square could not be trusted.
+    #[error("rendered {what} at pixel ({u}, {v}) is {value}")]
+    OutOfRange {
+        /// Which image.
+        what: &'static str,
+        /// Column.
+        u: usize,
+        /// Row.
+        v: usize,
+        /// The value.
+        value: f32,
+    },
+}
+
+/// Rendered values beyond this cannot come from a sane map (colours are about 0..1, depths below
+/// 1e3 m), and below it no square or product in the loss overflows.
+const MAX_RENDERED: f32 = 1e4;
+
+/// Compares a render with its target, Eq. (16) without the regulariser.
+///
+/// `color` is about 0..1; `depth_m` is the sum of `weight * z` along each ray (metres), `alpha` the
+/// sum of the weights. An image without a valid pixel has no loss and no derivatives.
+///
+/// # Errors
+/// If an image's size is not the target's, or a rendered value is not finite or above 1e4.
+pub fn photometric_loss(
+    color: &Image<[f32; 3]>,
+    depth_m: &Image<f32>,
+    alpha: &Image<f32>,
+    target: &Target,
+    settings: &LossSettings,
+) -> Result<ImageLoss, LossError> {
+    check_size("rendered colour", color, &target.color)?;
+    check_size("rendered depth", depth_m, &target.color)?;
+    check_size("rendered alpha", alpha, &target.color)?;
+    check_range("colour", color.data().as_flattened(), color.width(), 3)?;
+    check_range("depth", depth_m.data(), depth_m.width(), 1)?;
+    check_range("alpha", alpha.data(), alpha.width(), 1)?;
+
+    let (color_loss, d_color) = color::color_loss(color, target, settings);
+    let depth_loss = depth::depth_loss(depth_m, alpha, target, settings);
+    Ok(ImageLoss {
+        total: f64::from(settings.l1_weight) * color_loss.l1
+            + f64::from(settings.ssim_weight) * color_loss.dissimilarity
+            + f64::from(settings.depth_weight) * depth_loss.value,
+        l1: color_loss.l1,
+        ssim: 1.0 - color_loss.dissimilarity,
+        depth: depth_loss.value,
+        d_color,
+        d_depth_m: depth_loss.d_depth_m,
+        d_alpha: depth_loss.d_alpha,
+    })
+}
+
+fn check_size<T>(
+    what: &'static str,
+    image: &Image<T>,
+    color: &Image<[u8; 3]>,
+) -> Result<(), LossError> {
+    if (image.width(), image.height()) == (color.width(), color.height()) {
+        return Ok(());
+    }
+    Err(LossError::Size {
+        what,
+        width: image.width(),
+        height: image.height(),
+        target_width: color.width(),
+        target_height: color.height(),
+    })
+}
+
+/// Values checked together, whatever the number of threads.
+const RANGE_CHUNK: usize = 64 * 1024;
+
+fn check_range(
+    what: &'static str,
+    values: &[f32],
+    width: usize,
+    channels: usize,
+) -> Result<(), LossError> {
+    let sane = |value: &f32| value.abs() <= MAX_RENDERED;
+    // Without a branch per value, so that it vectorises.
+    let all_sane = |chunk: &[f32]| chunk.iter().fold(true, |all, value| all & sane(value));
+    if values.par_chunks(RANGE_CHUNK).all(all_sane) {
+        return Ok(());
+    }
+    match values.iter().position(|value| !sane(value)) {
+        None => Ok(()),
+        Some(at) => Err(LossError::OutOfRange {
+            what,
+            u: at / channels % width,
+            v: at / channels / width,
+            value: values[at],
+        }),
+    }
+}

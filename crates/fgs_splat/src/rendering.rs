@@ -1,0 +1,124 @@
+//! What every rasteriser of this crate agrees on: the numbers of the image formation, what a
+//! render gives, and what its derivative takes and gives (paper Sec. III, Eq. 1).
+//!
+//! Gaussians are blended front to back by the z of their centres (ties: by index) over black:
+//! `color = sum w_i c_i`, `depth = sum w_i z_i`, `alpha = sum w_i`, `w_i = T_i alpha_i`,
+//! `T_i = prod_{j < i} (1 - alpha_j)`, `alpha_i = min(ALPHA_MAX, o_i exp(-d^T cov2d^-1 d / 2))`.
+
+use fgs_geom::{Camera, Image};
+
+/// An alpha under this is dropped: half a step of an 8-bit image cannot be seen. It also bounds
+/// the support of a gaussian: `sqrt(2 ln(255 o))` standard deviations.
+pub(crate) const ALPHA_MIN: f64 = 1.0 / 255.0;
+
+/// Alpha is clamped here, so that the transmittance never becomes 0 and the backward pass can
+/// divide by `1 - alpha`. No gradient beyond.
+pub(crate) const ALPHA_MAX: f64 = 0.99;
+
+/// A pixel whose transmittance has fallen under this takes no further gaussian.
+pub(crate) const TRANSMITTANCE_MIN: f64 = 1e-4;
+
+/// Added to both variances of a projected gaussian, px^2, so that none slips between pixels.
+pub(crate) const LOW_PASS_PX2: f64 = 0.3;
+
+/// Gaussians whose centre is nearer than this along z are not drawn.
+pub(crate) const NEAR_M: f64 = 0.2;
+
+/// The projection is linearised at the centre's direction, clamped per axis to this multiple of
+/// the image's half extent about the image's middle (not about the principal point): further out
+/// the linearisation explodes.
+pub(crate) const FRUSTUM_MARGIN: f64 = 1.3;
+
+/// Below this |cos| between a pixel's ray and the disk's normal the depth is the centre's: the
+/// plane is seen edge-on and its depth says nothing.
+pub(crate) const PLANE_MIN_COS: f64 = 0.1;
+
+/// A gaussian with a parameter or a standard deviation (m) beyond this, or not finite, is damage
+/// and not drawn. Within it no product of the projection overflows `f32` unnoticed.
+pub(crate) const MAX_MAGNITUDE: f64 = 1e9;
+
+/// A gaussian with a projected variance beyond this (a million pixels' deviation) is not drawn.
+pub(crate) const MAX_VARIANCE_PX2: f64 = 1e12;
+
+/// A quaternion with a smaller squared norm has no direction; its gaussian is not drawn.
+pub(crate) const MIN_QUAT_NORM2: f64 = 1e-12;
+
+/// What a render gives: three images of the camera's size.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Rendered<T = f32> {
+    /// Linear blend of the gaussians' RGB over black.
+    pub color: Image<[T; 3]>,
+    /// Sum of weight times depth along z, metres; not divided by alpha. A gaussian's depth at a
+    /// pixel is where the pixel's ray meets the plane of the disk (its third axis is the normal).
+    pub depth_m: Image<T>,
+    /// Accumulated weight, 0 to 1.
+    pub alpha: Image<T>,
+}
+
+/// The loss's derivatives by each image of [`Rendered`].
+#[derive(Clone, Debug, PartialEq)]
+pub struct Cotangents<T = f32> {
+    /// By the colour.
+    pub d_color: Image<[T; 3]>,
+    /// By the depth (not normalised), 1/m.
+    pub d_depth_m: Image<T>,
+    /// By alpha.
+    pub d_alpha: Image<T>,
+}
+
+impl<T: Copy + Default> Cotangents<T> {
+    /// All zero.
+    pub fn zeros(camera: &Camera) -> Self {
+        let (width, height) = (camera.width, camera.height);
+        Self {
+            d_color: Image::filled(width, height, [T::default(); 3]),
+            d_depth_m: Image::filled(width, height, T::default()),
+            d_alpha: Image::filled(width, height, T::default()),
+        }
+    }
+}
+
+/// The loss's derivatives by the arrays of [`crate::Gaussians`], each of N entries. Entries of
+/// gaussians that are not in `touched` are zero.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct GaussianGradients<T = f32> {
+    /// By the centres, [N, 3].
+    pub d_means: Vec<[T; 3]>,
+    /// By the quaternions as stored (through their normalisation), [N, 4].
+    pub d_quats: Vec<[T; 4]>,
+    /// By the logarithms of the scales, [N, 3].
+    pub d_log_scales: Vec<[T; 3]>,
+    /// By the opacity logits, [N].
+    pub d_opacity_logits: Vec<T>,
+    /// By the colour coefficients, [N, 3].
+    pub d_sh: Vec<[T; 3]>,
+    /// Indices of the gaussians that contributed to a pixel, ascending.
+    pub touched: Vec<u32>,
+}
+
+impl<T: Copy + Default> GaussianGradients<T> {
+    /// Zero for `len` gaussians, none touched. Costs only the touched entries when the length
+    /// stays.
+    pub fn reset(&mut self, len: usize) {
+        if self.d_means.len() == len {
+            for &index in &self.touched {
+                let index = index as usize;
+                self.d_means[index] = Default::default();
+                self.d_quats[index] = Default::default();
+                self.d_log_scales[index] = Default::default();
+                self.d_opacity_logits[index] = T::default();
+                self.d_sh[index] = Default::default();
+            }
+            self.touched.clear();
+        } else {
+            *self = Self {
+                d_means: vec![Default::default(); len],
+                d_quats: vec![Default::default(); len],
+                d_log_scales: vec![Default::default(); len],
+                d_opacity_logits: vec![T::default(); len],
+                d_sh: vec![Default::default(); len],
+                touched: Vec::new(),
+            };
+        }
+    }
+}
