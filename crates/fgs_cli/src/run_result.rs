@@ -30,11 +30,11 @@ impl RunResult {
     /// # Errors
     /// If writing fails.
     pub fn save(&mut self, folder: &RunFolder, settings: &Settings) -> anyhow::Result<()> {
-        folder.write(MAP, |file| Ok(fgs_splat::write_ply(&self.gaussians, file)?))?;
         let map = folder.join(MAP);
-        let written = fs::metadata(&map);
-        self.metrics.map_bytes =
-            written.with_context(|| format!("cannot read {}", map.display()))?.len();
+        fgs_splat::write_ply(&map, &self.gaussians)?;
+        self.metrics.map_bytes = fs::metadata(&map)
+            .with_context(|| format!("cannot read {}", map.display()))?
+            .len();
         self.trajectory.write(&folder.join(TRAJECTORY))?;
         let config = settings.to_toml()?;
         folder.write(CONFIG, |file| {
