@@ -128,7 +128,7 @@ impl CameraFile {
         let file: ReplicaFile = serde_json::from_str(&read_small_file(path)?).map_err(|error| {
             DataError::CameraFile {
                 path: path.into(),
-                line: Some(error.line()),
+                line: None, // the message has it
                 message: error.to_string(),
             }
         })?;

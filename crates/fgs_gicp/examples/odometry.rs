@@ -95,6 +95,8 @@ struct Recipe {
     overlap_distance_m: f32,
     /// Replace the map at each keyframe rather than add to it.
     replace: bool,
+    /// Side of the map's cells.
+    cell_m: f32,
     /// Tracking grid and map grid.
     map_stride: usize,
 }
@@ -136,6 +138,7 @@ impl Recipe {
             min_overlap: get("overlap", 0.8)?,
             overlap_distance_m: get("overlap_distance", 1e-3f64.sqrt())? as f32,
             replace: get("replace", 0.0)? > 0.0,
+            cell_m: get("cell", 0.03)? as f32,
             map_stride: get("map_stride", stride as f64)? as usize,
             settings: Settings {
                 max_correspondence_distance_m: get("distance", 0.03)? as f32,
@@ -181,7 +184,7 @@ struct Tracker {
 impl Tracker {
     fn new(recipe: Recipe) -> Self {
         Self {
-            map: PointMap::new(recipe.settings.max_correspondence_distance_m),
+            map: PointMap::new(recipe.cell_m),
             recipe,
             next_id: 0,
             world_from_camera: None,
@@ -240,7 +243,7 @@ impl Tracker {
     fn add_keyframe(&mut self, depth_m: &Image<f32>, camera: &Camera, source: &[Point], pose: Se3) {
         self.keyframes += 1;
         if self.recipe.replace {
-            self.map = PointMap::new(self.recipe.settings.max_correspondence_distance_m);
+            self.map = PointMap::new(self.recipe.cell_m);
         }
         let denser;
         let points = if self.recipe.map_stride == self.recipe.grid.stride_px {

@@ -7,6 +7,9 @@ mod cpu_model;
 mod gaussians;
 mod losses;
 mod model;
+mod ply;
+#[cfg(test)]
+mod reference;
 mod rendering;
 mod visibility;
 
@@ -19,4 +22,5 @@ pub use model::{
     GaussianModel, ModelError, ModelSettings, PruneRule, Seeds, SparseChanges, SparseGaussian,
     SparseId, StepStats, ViewId,
 };
+pub use ply::{PlyError, read_ply, write_ply};
 pub use rendering::{Cotangents, GaussianGradients, Rendered};

@@ -1,1 +1,34 @@
-//! Procedural RGB-D rooms.
+//! Procedural RGB-D recordings of furnished rooms with exact poses and depth, as input for tests,
+//! demonstrations and benchmarks.
+//!
+//! ```no_run
+//! use fgs_synth::{KINECT, SensorModel, Sequence};
+//!
+//! let sequence = Sequence::new(7, 300, KINECT, SensorModel::exact());
+//! let frame = sequence.frame(0);
+//! let world_from_camera = sequence.world_from_camera(0);
+//! ```
+//!
+//! World axes: z up, metres. A frame is a function of (seed, index, camera, sensor) alone.
+
+mod builder;
+mod bvh;
+mod furniture;
+mod layout;
+mod light;
+mod noise;
+mod path;
+mod pattern;
+mod picture;
+mod render;
+mod room;
+mod sensor;
+mod sequence;
+mod shape;
+mod write;
+
+pub use path::{CameraPath, FRAMES_PER_LOOP};
+pub use room::Room;
+pub use sensor::SensorModel;
+pub use sequence::{FRAMES_PER_SECOND, KINECT, Sequence, kinect_camera};
+pub use write::{SynthError, write_replica, write_tum};

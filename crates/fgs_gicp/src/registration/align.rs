@@ -12,10 +12,15 @@ use nalgebra::{Matrix3, Vector3};
 use rayon::prelude::*;
 
 use crate::registration::{AlignError, Alignment, Conditioning, Factor, LinearSystem, Settings};
+use crate::target::LastingNearest;
 use crate::{MIN_EIGENVALUE, Point, PointMap};
 
 /// Points summed up by one task. Fixed, so that sums do not depend on the number of threads.
 const CHUNK_POINTS: usize = 1024;
+
+/// How far beyond the nearest point a search looks, as a share of the correspondence distance, so
+/// that it need not be repeated after steps of up to half of it. More makes the first search dear.
+const MARGIN: f32 = 0.1;
 
 /// Three points off a line determine a motion.
 const MIN_PAIRS: usize = 3;
@@ -33,9 +38,10 @@ pub fn align(
 ) -> Result<Alignment, AlignError> {
     check(source, target, initial)?;
     let mut target_from_source = *initial;
+    let mut nearest = vec![LastingNearest::unknown(); source.len()];
     let mut iterations = 0;
     loop {
-        let system = linearize(source, target, &target_from_source, settings);
+        let system = linearize(source, target, &target_from_source, settings, &mut nearest);
         iterations += 1;
         if system.pairs < MIN_PAIRS {
             return Err(AlignError::TooFewPairs {
@@ -47,7 +53,8 @@ pub fn align(
         let undetermined = AlignError::Undetermined {
             pairs: system.pairs,
         };
-        let Some(cholesky) = system.hessian.cholesky() else {
+        let hessian = system.hessian();
+        let Some(cholesky) = hessian.cholesky() else {
             return Err(undetermined);
         };
         let step = -cholesky.solve(&system.gradient);
@@ -66,8 +73,8 @@ pub fn align(
                 inliers: system.pairs,
                 inlier_share: system.pairs as f64 / source.len() as f64,
                 rms_residual_m: (system.squared_residual / system.weight).sqrt(),
-                conditioning: Conditioning::new(&system.hessian, &centroid, radius_m),
-                hessian: system.hessian,
+                conditioning: Conditioning::new(&hessian, &centroid, radius_m),
+                hessian,
             });
         }
     }
@@ -95,6 +102,7 @@ fn linearize(
     target: &PointMap,
     target_from_source: &Se3,
     settings: &Settings,
+    nearest: &mut [LastingNearest],
 ) -> LinearSystem {
     let rotation = target_from_source
         .rotation
@@ -103,7 +111,10 @@ fn linearize(
     let translation = target_from_source.translation;
     let partial: Vec<LinearSystem> = source
         .par_chunks(CHUNK_POINTS)
-        .map(|chunk| linearize_chunk(chunk, target, &rotation, &translation, settings))
+        .zip(nearest.par_chunks_mut(CHUNK_POINTS))
+        .map(|(source, nearest)| {
+            linearize_chunk(source, target, &rotation, &translation, settings, nearest)
+        })
         .collect();
     let mut system = LinearSystem::zero();
     partial.iter().for_each(|part| system += part);
@@ -116,22 +127,28 @@ fn linearize_chunk(
     rotation: &Matrix3<f64>,
     translation: &Vector3<f64>,
     settings: &Settings,
+    nearest: &mut [LastingNearest],
 ) -> LinearSystem {
+    let max_distance_m = settings.max_correspondence_distance_m;
     let mut system = LinearSystem::zero();
-    for point in source {
+    for (point, nearest) in source.iter().zip(nearest) {
         let p = point.position.cast::<f64>();
         let query = (rotation * p + translation).cast::<f32>();
-        let Some(neighbor) = target.nearest(&query, settings.max_correspondence_distance_m) else {
+        if !nearest.holds_at(&query) {
+            *nearest = target.lasting_nearest(&query, max_distance_m, MARGIN * max_distance_m);
+        }
+        let Some(neighbor) = nearest.slot.map(|slot| target.point_in(slot)) else {
             continue;
         };
-        let Some(factor) = Factor::new(
+        let factor = Factor::new(
             &p,
             &point.covariance.matrix(),
-            &neighbor.point.position.cast(),
-            &neighbor.point.covariance.matrix(),
+            &neighbor.position.cast(),
+            &neighbor.covariance.matrix(),
             rotation,
             translation,
-        ) else {
+        );
+        let Some(factor) = factor else {
             continue;
         };
         // Two facing disks give along their normal 1 / (2 MIN_EIGENVALUE): as metres.

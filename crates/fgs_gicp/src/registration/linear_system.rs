@@ -4,7 +4,6 @@
 
 use std::ops::AddAssign;
 
-use fgs_geom::skew;
 use nalgebra::{Matrix3, Matrix6, Vector3, Vector6};
 
 use crate::Factor;
@@ -12,8 +11,11 @@ use crate::Factor;
 /// Normal equations of a Gauss-Newton step.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LinearSystem {
-    /// Sum of `w J^T M J`.
-    pub hessian: Matrix6<f64>,
+    /// Blocks of the sum of `w J^T M J`: rotation with itself, rotation with translation,
+    /// translation with itself.
+    rotation_block: Matrix3<f64>,
+    mixed_block: Matrix3<f64>,
+    translation_block: Matrix3<f64>,
     /// Sum of `w J^T M e`, half the cost's gradient.
     pub gradient: Vector6<f64>,
     /// Number of pairs.
@@ -28,7 +30,9 @@ impl LinearSystem {
     /// No pairs.
     pub fn zero() -> Self {
         Self {
-            hessian: Matrix6::zeros(),
+            rotation_block: Matrix3::zeros(),
+            mixed_block: Matrix3::zeros(),
+            translation_block: Matrix3::zeros(),
             gradient: Vector6::zeros(),
             pairs: 0,
             weight: 0.0,
@@ -36,22 +40,30 @@ impl LinearSystem {
         }
     }
 
+    /// Sum of `w J^T M J`.
+    pub fn hessian(&self) -> Matrix6<f64> {
+        let mut hessian = Matrix6::zeros();
+        let mut set = |row: usize, column: usize, block: &Matrix3<f64>| {
+            let mut view = hessian.fixed_view_mut::<3, 3>(row, column);
+            view.copy_from(block);
+        };
+        set(0, 0, &self.rotation_block);
+        set(0, 3, &self.mixed_block);
+        set(3, 0, &self.mixed_block.transpose());
+        set(3, 3, &self.translation_block);
+        hessian
+    }
+
     /// Adds the pair of source point `p`, with weight `weight`.
     #[inline]
     pub fn add(&mut self, p: &Vector3<f64>, factor: &Factor, weight: f64, squared_residual: f64) {
         let information = factor.information * weight;
-        let p_hat = skew(p);
         let me = information * factor.residual;
-        // J = [skew(p), -I].
-        let p_hat_m: Matrix3<f64> = p_hat * information;
-        let mut add_block = |row: usize, column: usize, block: &Matrix3<f64>| {
-            let mut view = self.hessian.fixed_view_mut::<3, 3>(row, column);
-            view += block;
-        };
-        add_block(0, 0, &(p_hat_m * p_hat.transpose()));
-        add_block(0, 3, &p_hat_m);
-        add_block(3, 0, &p_hat_m.transpose());
-        add_block(3, 3, &information);
+        // J = [skew(p), -I], and M is symmetric: skew(p) M and skew(p) M skew(p)^T.
+        let p_hat_m = cross_columns(p, &information);
+        self.rotation_block += cross_columns(p, &p_hat_m.transpose());
+        self.mixed_block += p_hat_m;
+        self.translation_block += information;
         let turn = me.cross(p);
         self.gradient += Vector6::new(turn.x, turn.y, turn.z, -me.x, -me.y, -me.z);
         self.pairs += 1;
@@ -60,9 +72,18 @@ impl LinearSystem {
     }
 }
 
+/// `skew(a) m`.
+#[inline]
+fn cross_columns(a: &Vector3<f64>, m: &Matrix3<f64>) -> Matrix3<f64> {
+    let cross = |column: usize| a.cross(&m.column(column));
+    Matrix3::from_columns(&[cross(0), cross(1), cross(2)])
+}
+
 impl AddAssign<&Self> for LinearSystem {
     fn add_assign(&mut self, other: &Self) {
-        self.hessian += other.hessian;
+        self.rotation_block += other.rotation_block;
+        self.mixed_block += other.mixed_block;
+        self.translation_block += other.translation_block;
         self.gradient += other.gradient;
         self.pairs += other.pairs;
         self.weight += other.weight;

@@ -1,5 +1,7 @@
 //! What a source is aligned to.
 
+mod cell;
 mod point_map;
 
+pub(crate) use point_map::LastingNearest;
 pub use point_map::{Neighbor, PointMap};

@@ -11,6 +11,7 @@ use std::hash::{BuildHasherDefault, Hasher};
 
 use nalgebra::Vector3;
 
+use super::cell::CellPoints;
 use crate::Point;
 
 /// A point of the map found by a search.
@@ -27,8 +28,8 @@ pub struct Neighbor<'a> {
 /// Points with ids, to be searched by position.
 #[derive(Clone, Debug)]
 pub struct PointMap {
-    cell_size_m: f32,
-    cells: HashMap<Cell, Vec<Entry>, BuildHasherDefault<CellHasher>>,
+    cells_per_m: f32,
+    cells: HashMap<Cell, CellPoints, BuildHasherDefault<CellHasher>>,
     slots: Vec<(u64, Point)>,
     slot_from_id: HashMap<u64, u32>,
     /// Slots whose points were removed, to be used again.
@@ -36,22 +37,21 @@ pub struct PointMap {
 }
 
 /// Integer coordinates of a cell.
-type Cell = [i32; 3];
-
-/// A point in its cell: what the search reads, side by side.
-#[derive(Clone, Copy, Debug)]
-struct Entry {
-    position: Vector3<f32>,
-    slot: u32,
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+struct Cell {
+    x: i32,
+    y: i32,
+    z: i32,
 }
 
 impl PointMap {
     /// An empty map with cubic cells of the given side. A side that is not a positive number is
     /// replaced by 1 m: it affects speed alone.
     pub fn new(cell_size_m: f32) -> Self {
-        let usable = cell_size_m.is_normal() && cell_size_m > 0.0;
+        let cells_per_m = 1.0 / cell_size_m;
+        let usable = cells_per_m.is_normal() && cells_per_m > 0.0;
         Self {
-            cell_size_m: if usable { cell_size_m } else { 1.0 },
+            cells_per_m: if usable { cells_per_m } else { 1.0 },
             cells: HashMap::default(),
             slots: Vec::new(),
             slot_from_id: HashMap::new(),
@@ -93,14 +93,10 @@ impl PointMap {
             }
         };
         self.slot_from_id.insert(id, slot);
-        let entry = Entry {
-            position: point.position,
-            slot,
-        };
         self.cells
             .entry(self.cell_of(&point.position))
             .or_default()
-            .push(entry);
+            .push(&point.position, slot);
         true
     }
 
@@ -109,9 +105,9 @@ impl PointMap {
         let slot = self.slot_from_id.remove(&id)?;
         let point = self.slots[slot as usize].1;
         let cell = self.cell_of(&point.position);
-        if let Some(entries) = self.cells.get_mut(&cell) {
-            entries.retain(|entry| entry.slot != slot);
-            if entries.is_empty() {
+        if let Some(points) = self.cells.get_mut(&cell) {
+            points.remove(slot);
+            if points.is_empty() {
                 self.cells.remove(&cell);
             }
         }
@@ -122,21 +118,44 @@ impl PointMap {
     /// The nearest point at most `max_distance_m` away.
     #[inline]
     pub fn nearest(&self, query: &Vector3<f32>, max_distance_m: f32) -> Option<Neighbor<'_>> {
-        let mut best = Nearest {
-            squared_distance: max_distance_m * max_distance_m,
-            slot: None,
-        };
-        let own = self.cell_of(query);
-        self.search_cell(own, query, &mut best);
-        // What the own cell holds usually leaves few other cells, if any, within reach.
-        let reach = best.squared_distance.sqrt();
-        self.for_cells_within(query, reach, |cell| {
-            if cell != own {
-                self.search_cell(cell, query, &mut best);
+        let found = self.search(query, max_distance_m, 0.0);
+        let slot = found.slot?;
+        (found.squared_distance <= max_distance_m * max_distance_m)
+            .then(|| self.neighbor(slot, found.squared_distance))
+    }
+
+    /// The nearest point at most `max_distance_m` away, with a radius in which it stays so. That
+    /// radius is at most half of `margin_m`; larger ones take longer to find.
+    #[inline]
+    pub(crate) fn lasting_nearest(
+        &self,
+        query: &Vector3<f32>,
+        max_distance_m: f32,
+        margin_m: f32,
+    ) -> LastingNearest {
+        let found = self.search(query, max_distance_m, margin_m);
+        let distance = found.squared_distance.sqrt();
+        let (slot, radius) = match found.slot {
+            Some(slot) if distance <= max_distance_m => {
+                // No other point is nearer than this: those beyond the margin were not looked at.
+                let next = found.next_squared_distance.sqrt().min(distance + margin_m);
+                (Some(slot), 0.5 * (next - distance))
             }
-        });
-        best.slot
-            .map(|slot| self.neighbor(slot, best.squared_distance))
+            _ => (None, distance.min(max_distance_m + margin_m) - max_distance_m),
+        };
+        // Distances are rounded like the coordinates that they come from.
+        let rounding = 4.0 * f32::EPSILON * (query.amax() + max_distance_m);
+        LastingNearest {
+            slot,
+            query: *query,
+            radius_m: radius - rounding,
+        }
+    }
+
+    /// The point in a slot that a search has found.
+    #[inline]
+    pub(crate) fn point_in(&self, slot: u32) -> &Point {
+        &self.slots[slot as usize].1
     }
 
     /// The `count` nearest points at most `max_distance_m` away, nearest first.
@@ -147,18 +166,24 @@ impl PointMap {
         max_distance_m: f32,
     ) -> Vec<Neighbor<'_>> {
         let mut found = Vec::new();
+        let limit = max_distance_m * max_distance_m;
         self.for_cells_within(query, max_distance_m, |cell| {
-            for entry in self.cells.get(&cell).into_iter().flatten() {
-                let squared_distance = (entry.position - query).norm_squared();
-                if squared_distance <= max_distance_m * max_distance_m {
-                    found.push(self.neighbor(entry.slot, squared_distance));
-                }
-            }
+            let Some(points) = self.cells.get(&cell) else {
+                return;
+            };
+            points.for_groups_within(
+                query,
+                limit,
+                |squared_distances, slots| {
+                    let near = squared_distances.iter().zip(slots).filter(|(d, _)| **d <= limit);
+                    found.extend(near.map(|(&d, &slot)| self.neighbor(slot, d)));
+                    limit
+                },
+            );
         });
         found.sort_by(|a, b| {
-            a.squared_distance
-                .total_cmp(&b.squared_distance)
-                .then(a.id.cmp(&b.id))
+            let by_distance = a.squared_distance.total_cmp(&b.squared_distance);
+            by_distance.then(a.id.cmp(&b.id))
         });
         found.truncate(count);
         found
@@ -173,38 +198,75 @@ impl PointMap {
         }
     }
 
+    /// The nearest and the next nearest point, exact as far as `max_distance_m + margin_m`, the
+    /// next one also only as far as the nearest's distance plus the margin.
     #[inline]
-    fn search_cell(&self, cell: Cell, query: &Vector3<f32>, best: &mut Nearest) {
-        for entry in self.cells.get(&cell).into_iter().flatten() {
-            let squared_distance = (entry.position - query).norm_squared();
-            if squared_distance < best.squared_distance {
-                best.squared_distance = squared_distance;
-                best.slot = Some(entry.slot);
-            } else if squared_distance == best.squared_distance {
-                let id = |slot: u32| self.slots[slot as usize].0;
-                if best.slot.is_none_or(|slot| id(entry.slot) < id(slot)) {
-                    best.slot = Some(entry.slot);
+    fn search(&self, query: &Vector3<f32>, max_distance_m: f32, margin_m: f32) -> Search {
+        let mut search = Search {
+            limit: (max_distance_m + margin_m).powi(2),
+            margin_m,
+            squared_distance: f32::INFINITY,
+            next_squared_distance: f32::INFINITY,
+            slot: None,
+        };
+        let own = self.cell_of(query);
+        self.search_cell(own, query, &mut search);
+        // What the own cell holds usually leaves few other cells, if any, within reach.
+        self.for_cells_within(query, search.limit.sqrt(), |cell| {
+            if cell != own {
+                self.search_cell(cell, query, &mut search);
+            }
+        });
+        search
+    }
+
+    #[inline]
+    fn search_cell(&self, cell: Cell, query: &Vector3<f32>, search: &mut Search) {
+        let Some(points) = self.cells.get(&cell) else {
+            return;
+        };
+        let id = |slot: u32| self.slots[slot as usize].0;
+        points.for_groups_within(query, search.limit, |squared_distances, slots| {
+            for (&squared, &slot) in squared_distances.iter().zip(slots) {
+                if squared > search.limit {
+                    continue;
+                }
+                let nearest = search.squared_distance;
+                let wins_tie = squared == nearest && search.slot.is_some_and(|s| id(slot) < id(s));
+                if squared < nearest || wins_tie {
+                    search.next_squared_distance = nearest;
+                    search.squared_distance = squared;
+                    search.slot = Some(slot);
+                    search.limit = search.limit.min((squared.sqrt() + search.margin_m).powi(2));
+                } else {
+                    search.next_squared_distance = search.next_squared_distance.min(squared);
                 }
             }
-        }
+            search.limit
+        });
     }
 
     /// Calls `visit` with every cell that may hold a point within `distance_m` of `query`.
     #[inline]
-    fn for_cells_within(&self, query: &Vector3<f32>, distance_m: f32, mut visit: impl FnMut(Cell)) {
+    fn for_cells_within(
+        &self,
+        query: &Vector3<f32>,
+        distance_m: f32,
+        mut visit: impl FnMut(Cell),
+    ) {
         let low = self.cell_of(&query.map(|x| x - distance_m));
         let high = self.cell_of(&query.map(|x| x + distance_m));
-        let box_cells: f64 = (0..3)
-            .map(|axis| f64::from(high[axis]) - f64::from(low[axis]) + 1.0)
-            .product();
-        if box_cells > self.cells.len() as f64 && box_cells > 27.0 {
+        let side = |low: i32, high: i32| f64::from(high) - f64::from(low) + 1.0;
+        let cells = side(low.x, high.x) * side(low.y, high.y) * side(low.z, high.z);
+        // A search far beyond the cells' size is quicker through the table itself.
+        if cells > 64.0 && cells > self.cells.len() as f64 {
             self.cells.keys().for_each(|&cell| visit(cell));
             return;
         }
-        for x in low[0]..=high[0] {
-            for y in low[1]..=high[1] {
-                for z in low[2]..=high[2] {
-                    visit([x, y, z]);
+        for x in low.x..=high.x {
+            for y in low.y..=high.y {
+                for z in low.z..=high.z {
+                    visit(Cell { x, y, z });
                 }
             }
         }
@@ -213,19 +275,54 @@ impl PointMap {
     /// Saturates far away, where one cell then holds all points.
     #[inline]
     fn cell_of(&self, position: &Vector3<f32>) -> Cell {
-        let coordinate = |x: f32| (x / self.cell_size_m).floor() as i32;
-        [
-            coordinate(position.x),
-            coordinate(position.y),
-            coordinate(position.z),
-        ]
+        // Rounds down; `f32::floor` is a function call on baseline x86-64.
+        let coordinate = |x: f32| {
+            let scaled = x * self.cells_per_m;
+            let truncated = scaled as i32;
+            truncated.saturating_sub(i32::from(scaled < truncated as f32))
+        };
+        Cell {
+            x: coordinate(position.x),
+            y: coordinate(position.y),
+            z: coordinate(position.z),
+        }
     }
 }
 
-/// The best candidate so far; its distance starts at the search radius.
-struct Nearest {
+/// A search under way.
+struct Search {
+    /// Points beyond this squared distance are of no interest.
+    limit: f32,
+    margin_m: f32,
     squared_distance: f32,
+    next_squared_distance: f32,
     slot: Option<u32>,
+}
+
+/// The nearest point within a distance, and for how far around the query it stays so.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct LastingNearest {
+    pub(crate) slot: Option<u32>,
+    query: Vector3<f32>,
+    radius_m: f32,
+}
+
+impl LastingNearest {
+    /// Knows nothing yet.
+    pub(crate) fn unknown() -> Self {
+        Self {
+            slot: None,
+            query: Vector3::zeros(),
+            radius_m: -1.0,
+        }
+    }
+
+    /// Whether a search at `query` would find the same point.
+    #[inline]
+    pub(crate) fn holds_at(&self, query: &Vector3<f32>) -> bool {
+        self.radius_m > 0.0
+            && (query - self.query).norm_squared() < self.radius_m * self.radius_m
+    }
 }
 
 /// Mixes the three coordinates by multiplication: neighbouring cells differ in low bits, which the

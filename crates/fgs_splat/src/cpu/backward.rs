@@ -2,72 +2,108 @@
 //! what its pixels contribute to the gaussian's gradient. The transmittance in front of an entry
 //! is recovered by dividing; the blend behind it is accumulated on the way.
 
-use super::bounds::{BLOCKS, LANES};
+use pulp::NullaryFnOnce;
+
+use super::bounds::{BLOCKS, LANES, TileGrid};
 use super::forward::TileState;
-use super::project::Splat;
+use super::project::{ScreenCamera, Splat};
 use super::project_vjp::{PixelSums, SUMS, sum};
 use super::real::Real;
 use super::sample::{Lanes, Sample, TilePixels};
 use super::tiles::Entry;
 use crate::rendering::{ALPHA_MAX, ALPHA_MIN};
 
-/// The loss's derivatives by the pixels of a tile, 0 outside the image.
-#[repr(align(64))]
-pub(super) struct TileCotangents<T> {
-    /// By red, green, blue, depth and alpha.
-    pub d_pixel: [[Lanes<T>; 5]; BLOCKS],
+/// Differentiates one tile. Run it through [`pulp::Arch::dispatch`].
+pub(super) struct BlendTileVjp<'a, T: Real> {
+    pub tile: usize,
+    pub grid: &'a TileGrid,
+    pub camera: &'a ScreenCamera<T>,
+    /// The tile's list.
+    pub entries: &'a [Entry],
+    /// Of all gaussians.
+    pub splats: &'a [Splat<T>],
+    pub state: &'a TileState<T>,
+    /// Per entry.
+    pub contributed: &'a [bool],
+    /// The rows of the images in which the tile lies.
+    pub d_color: &'a [[T; 3]],
+    pub d_depth_m: &'a [T],
+    pub d_alpha: &'a [T],
+    /// Written for each entry.
+    pub sums: &'a mut [PixelSums<T>],
+}
+
+/// What the walk over the list knows of a block's pixels.
+#[derive(Clone, Copy)]
+struct Block<T> {
+    d_red: Lanes<T>,
+    d_green: Lanes<T>,
+    d_blue: Lanes<T>,
+    d_depth: Lanes<T>,
+    d_alpha: Lanes<T>,
+    /// In front of what has been walked over.
+    transmittance: Lanes<T>,
+    /// The loss's derivative along all that has been walked over, as one colour.
+    behind: Lanes<T>,
+    entries_used: Lanes<u32>,
+    /// The largest.
+    most_entries_used: u32,
 }
 
 /// Lane sums of one entry.
 type LaneSums<T> = [Lanes<T>; SUMS];
 
-/// Writes the sums of each entry.
-#[inline(always)]
-pub(super) fn blend_tile_vjp<T: Real>(
-    pixels: &TilePixels<T>,
-    entries: &[Entry],
-    splats: &[Splat<T>],
-    state: &TileState<T>,
-    contributed: &[bool],
-    cotangents: &TileCotangents<T>,
-    sums: &mut [PixelSums<T>],
-) {
-    let mut transmittance = state.transmittance;
-    let mut behind = [[T::ZERO; LANES]; BLOCKS];
-    let block_entries_used: [u32; BLOCKS] =
-        std::array::from_fn(|block| state.entries_used[block].iter().fold(0, |a, &b| a.max(b)));
-    for (position, entry) in entries.iter().enumerate().rev() {
-        sums[position] = PixelSums::default();
-        if !contributed[position] {
-            continue;
-        }
-        let splat = &splats[entry.gaussian as usize];
-        let mut lane_sums = [[T::ZERO; LANES]; SUMS];
-        let mut blocks = entry.blocks;
-        while blocks != 0 {
-            let block = blocks.trailing_zeros() as usize % BLOCKS;
-            blocks &= blocks - 1;
-            if position as u32 >= block_entries_used[block] {
+impl<T: Real> NullaryFnOnce for BlendTileVjp<'_, T> {
+    type Output = ();
+
+    #[inline(always)]
+    fn call(self) {
+        let pixels = TilePixels::new(self.tile, self.grid, self.camera);
+        let zero = [T::ZERO; LANES];
+        let mut blocks: [Block<T>; BLOCKS] = std::array::from_fn(|block| Block {
+            d_red: zero,
+            d_green: zero,
+            d_blue: zero,
+            d_depth: zero,
+            d_alpha: zero,
+            transmittance: self.state.transmittance[block],
+            behind: zero,
+            entries_used: self.state.entries_used[block],
+            most_entries_used: self.state.entries_used[block]
+                .iter()
+                .fold(0, |a, &b| a.max(b)),
+        });
+        pixels.for_each_pixel(self.grid, |block, lane, pixel| {
+            let block = &mut blocks[block];
+            [block.d_red[lane], block.d_green[lane], block.d_blue[lane]] = self.d_color[pixel];
+            block.d_depth[lane] = self.d_depth_m[pixel];
+            block.d_alpha[lane] = self.d_alpha[pixel];
+        });
+
+        for (position, entry) in self.entries.iter().enumerate().rev() {
+            if !self.contributed[position] {
                 continue;
             }
-            blend_block_vjp(
-                splat,
-                [
-                    pixels.block_x[block] - splat.mean2d[0],
-                    pixels.block_y[block] - splat.mean2d[1],
-                ],
-                pixels,
-                &pixels.min_n_ray[block],
-                &cotangents.d_pixel[block],
-                position as u32,
-                &state.entries_used[block],
-                &mut transmittance[block],
-                &mut behind[block],
-                &mut lane_sums,
-            );
-        }
-        for (lanes, total) in lane_sums.iter().zip(&mut sums[position].0) {
-            *total = add_lanes(lanes);
+            let splat = &self.splats[entry.gaussian as usize];
+            let mut lane_sums = [zero; SUMS];
+            let mut touched = entry.blocks;
+            while touched != 0 {
+                let block = touched.trailing_zeros() as usize % BLOCKS;
+                touched &= touched - 1;
+                if (position as u32) < blocks[block].most_entries_used {
+                    blend_block_vjp(
+                        splat,
+                        &pixels,
+                        block,
+                        position as u32,
+                        &mut blocks[block],
+                        &mut lane_sums,
+                    );
+                }
+            }
+            for (lanes, total) in lane_sums.iter().zip(&mut self.sums[position].0) {
+                *total = add_lanes(lanes);
+            }
         }
     }
 }
@@ -80,51 +116,57 @@ fn add_lanes<T: Real>(lanes: &Lanes<T>) -> T {
     (four[0] + four[2]) + (four[1] + four[3])
 }
 
+/// Walks over a splat, entry number `position` from 0, at the pixels of a block.
 #[inline(always)]
-#[expect(clippy::too_many_arguments, reason = "arrays of one block, apart so that none aliases")]
 fn blend_block_vjp<T: Real>(
     splat: &Splat<T>,
-    offset: [T; 2],
     pixels: &TilePixels<T>,
-    min_n_ray: &Lanes<T>,
-    [d_red, d_green, d_blue, d_depth, d_alpha]: &[Lanes<T>; 5],
+    block: usize,
     position: u32,
-    entries_used: &Lanes<u32>,
-    transmittance: &mut Lanes<T>,
-    behind: &mut Lanes<T>,
-    sums: &mut LaneSums<T>,
+    state: &mut Block<T>,
+    lane_sums: &mut LaneSums<T>,
 ) {
     let alpha_min = T::from_f64(ALPHA_MIN);
     let alpha_max = T::from_f64(ALPHA_MAX);
+    let x = pixels.block_x[block] - splat.mean2d[0];
+    let y = pixels.block_y[block] - splat.mean2d[1];
+    // Copies, so that the compiler knows them apart and makes vectors of the lanes.
+    let (lane_x, lane_y, min_n_ray) = (pixels.lane_x, pixels.lane_y, pixels.min_n_ray[block]);
+    let mut sums = *lane_sums;
+    let mut pixel = *state;
+    let splat = *splat;
     for lane in 0..LANES {
-        let sample = Sample::new(
-            splat,
-            offset[0] + pixels.lane_x[lane],
-            offset[1] + pixels.lane_y[lane],
-            min_n_ray[lane],
-        );
-        let took = (sample.alpha >= alpha_min) & (position < entries_used[lane]);
-        let alpha = if took { sample.alpha.min(alpha_max) } else { T::ZERO };
+        let sample = Sample::new(&splat, x + lane_x[lane], y + lane_y[lane], min_n_ray[lane]);
+        let took = (sample.alpha >= alpha_min) & (position < pixel.entries_used[lane]);
+        let alpha = if took {
+            sample.alpha.min(alpha_max)
+        } else {
+            T::ZERO
+        };
         let inverse_rest = T::ONE / (T::ONE - alpha);
-        let before = transmittance[lane] * inverse_rest;
+        let before = pixel.transmittance[lane] * inverse_rest;
         let weight = before * alpha;
         // The loss's derivative by this entry's weight, all else equal.
-        let value = d_red[lane] * splat.color[0]
-            + d_green[lane] * splat.color[1]
-            + d_blue[lane] * splat.color[2]
-            + d_depth[lane] * sample.depth
-            + d_alpha[lane];
+        let value = pixel.d_red[lane] * splat.color[0]
+            + pixel.d_green[lane] * splat.color[1]
+            + pixel.d_blue[lane] * splat.color[2]
+            + pixel.d_depth[lane] * sample.depth
+            + pixel.d_alpha[lane];
         // d weight / d alpha = before; each weight behind scales with 1 - alpha.
-        let d_sample_alpha = before * value - behind[lane] * inverse_rest;
-        transmittance[lane] = before;
-        behind[lane] += weight * value;
+        let d_sample_alpha = before * value - pixel.behind[lane] * inverse_rest;
+        pixel.transmittance[lane] = before;
+        pixel.behind[lane] += weight * value;
 
-        sums[sum::COLOR][lane] += weight * d_red[lane];
-        sums[sum::COLOR + 1][lane] += weight * d_green[lane];
-        sums[sum::COLOR + 2][lane] += weight * d_blue[lane];
+        sums[sum::COLOR][lane] += weight * pixel.d_red[lane];
+        sums[sum::COLOR + 1][lane] += weight * pixel.d_green[lane];
+        sums[sum::COLOR + 2][lane] += weight * pixel.d_blue[lane];
 
         let free = took & (sample.alpha <= alpha_max);
-        let g = if free { d_sample_alpha * alpha } else { T::ZERO };
+        let g = if free {
+            d_sample_alpha * alpha
+        } else {
+            T::ZERO
+        };
         let (gp, gq) = (g * sample.p, g * sample.q);
         sums[sum::G][lane] += g;
         sums[sum::GP][lane] += gp;
@@ -133,13 +175,21 @@ fn blend_block_vjp<T: Real>(
         sums[sum::GPQ][lane] += gp * sample.q;
         sums[sum::GQQ][lane] += gq * sample.q;
 
-        let h = weight * d_depth[lane];
-        let ht = if sample.on_plane { h * sample.inverse_n_ray } else { T::ZERO };
-        let htt = if sample.on_plane { ht * sample.inverse_n_ray } else { T::ZERO };
-        sums[sum::CENTER][lane] += if sample.on_plane { T::ZERO } else { h };
+        let h = weight * pixel.d_depth[lane];
+        let (h_plane, h_center) = if sample.on_plane {
+            (h, T::ZERO)
+        } else {
+            (T::ZERO, h)
+        };
+        let ht = h_plane * sample.inverse_n_ray;
+        let htt = ht * sample.inverse_n_ray;
+        sums[sum::CENTER][lane] += h_center;
         sums[sum::HT][lane] += ht;
         sums[sum::HTT][lane] += htt;
         sums[sum::HTT_DX][lane] += htt * sample.dx;
         sums[sum::HTT_DY][lane] += htt * sample.dy;
     }
+    state.transmittance = pixel.transmittance;
+    state.behind = pixel.behind;
+    *lane_sums = sums;
 }

@@ -2,8 +2,10 @@
 //! 16 lanes. A block whose pixels are all saturated takes no further gaussian, and a tile of such
 //! blocks ends its list.
 
-use super::bounds::{BLOCKS, LANES};
-use super::project::Splat;
+use pulp::NullaryFnOnce;
+
+use super::bounds::{BLOCKS, LANES, TileGrid};
+use super::project::{ScreenCamera, Splat};
 use super::real::Real;
 use super::sample::{Lanes, Sample, TilePixels};
 use super::tiles::Entry;
@@ -28,60 +30,87 @@ impl<T: Real> Default for TileState<T> {
     }
 }
 
-/// A tile's blended colour (per block and channel) and depth.
-#[repr(align(64))]
-pub(super) struct TileImage<T> {
-    pub color: [[Lanes<T>; 3]; BLOCKS],
-    pub depth: [Lanes<T>; BLOCKS],
+/// Blends one tile. Run it through [`pulp::Arch::dispatch`].
+pub(super) struct BlendTile<'a, T: Real> {
+    pub tile: usize,
+    pub grid: &'a TileGrid,
+    pub camera: &'a ScreenCamera<T>,
+    /// The tile's list.
+    pub entries: &'a [Entry],
+    /// Of all gaussians.
+    pub splats: &'a [Splat<T>],
+    pub state: &'a mut TileState<T>,
+    /// Per entry.
+    pub contributed: &'a mut [bool],
+    /// The rows of the images in which the tile lies.
+    pub color: &'a mut [[T; 3]],
+    pub depth_m: &'a mut [T],
+    pub alpha: &'a mut [T],
 }
 
-/// `state.transmittance` starts as 1 at the image's pixels. Sets `contributed` for each entry.
-#[inline(always)]
-pub(super) fn blend_tile<T: Real>(
-    pixels: &TilePixels<T>,
-    entries: &[Entry],
-    splats: &[Splat<T>],
-    state: &mut TileState<T>,
-    contributed: &mut [bool],
-) -> TileImage<T> {
-    let mut image = TileImage {
-        color: [[[T::ZERO; LANES]; 3]; BLOCKS],
-        depth: [[T::ZERO; LANES]; BLOCKS],
-    };
-    contributed.fill(false);
-    let mut open_blocks = u16::MAX;
-    for (position, entry) in entries.iter().enumerate() {
-        let splat = &splats[entry.gaussian as usize];
-        let mut blocks = entry.blocks & open_blocks;
-        let mut hit = false;
-        while blocks != 0 {
-            let block = blocks.trailing_zeros() as usize % BLOCKS;
-            blocks &= blocks - 1;
-            let outcome = blend_block(
-                splat,
-                [
-                    pixels.block_x[block] - splat.mean2d[0],
-                    pixels.block_y[block] - splat.mean2d[1],
-                ],
-                pixels,
-                &pixels.min_n_ray[block],
-                &mut state.transmittance[block],
-                &mut state.entries_used[block],
-                position as u32 + 1,
-                &mut image.color[block],
-                &mut image.depth[block],
-            );
-            hit |= outcome & HIT != 0;
-            if outcome & OPEN == 0 {
-                open_blocks &= !(1 << block);
+/// What is summed up at the pixels of a block.
+#[derive(Clone, Copy)]
+struct BlockImage<T> {
+    red: Lanes<T>,
+    green: Lanes<T>,
+    blue: Lanes<T>,
+    depth: Lanes<T>,
+}
+
+impl<T: Real> NullaryFnOnce for BlendTile<'_, T> {
+    type Output = ();
+
+    #[inline(always)]
+    fn call(self) {
+        let (grid, state) = (self.grid, self.state);
+        let pixels = TilePixels::new(self.tile, grid, self.camera);
+        *state = TileState::default();
+        pixels.for_each_pixel(grid, |block, lane, _| {
+            state.transmittance[block][lane] = T::ONE;
+        });
+        let zero = [T::ZERO; LANES];
+        let mut images = [BlockImage {
+            red: zero,
+            green: zero,
+            blue: zero,
+            depth: zero,
+        }; BLOCKS];
+
+        self.contributed.fill(false);
+        let mut open_blocks = u16::MAX;
+        for (position, entry) in self.entries.iter().enumerate() {
+            let splat = &self.splats[entry.gaussian as usize];
+            let mut blocks = entry.blocks & open_blocks;
+            let mut hit = false;
+            while blocks != 0 {
+                let block = blocks.trailing_zeros() as usize % BLOCKS;
+                blocks &= blocks - 1;
+                let outcome = blend_block(
+                    splat,
+                    &pixels,
+                    block,
+                    position as u32 + 1,
+                    state,
+                    &mut images[block],
+                );
+                hit |= outcome & HIT != 0;
+                if outcome & OPEN == 0 {
+                    open_blocks &= !(1 << block);
+                }
+            }
+            self.contributed[position] = hit;
+            if open_blocks == 0 {
+                break;
             }
         }
-        contributed[position] = hit;
-        if open_blocks == 0 {
-            break;
-        }
+
+        pixels.for_each_pixel(grid, |block, lane, pixel| {
+            let image = &images[block];
+            self.color[pixel] = [image.red[lane], image.green[lane], image.blue[lane]];
+            self.depth_m[pixel] = image.depth[lane];
+            self.alpha[pixel] = T::ONE - state.transmittance[block][lane];
+        });
     }
-    image
 }
 
 /// A pixel took the gaussian.
@@ -89,43 +118,50 @@ const HIT: u32 = 1;
 /// A pixel can take more.
 const OPEN: u32 = 2;
 
+/// Blends a splat, entry number `entries` from 1, over a block.
 #[inline(always)]
-#[expect(clippy::too_many_arguments, reason = "arrays of one block, apart so that none aliases")]
 fn blend_block<T: Real>(
     splat: &Splat<T>,
-    offset: [T; 2],
     pixels: &TilePixels<T>,
-    min_n_ray: &Lanes<T>,
-    transmittance: &mut Lanes<T>,
-    entries_used: &mut Lanes<u32>,
+    block: usize,
     entries: u32,
-    [red, green, blue]: &mut [Lanes<T>; 3],
-    depth: &mut Lanes<T>,
+    state: &mut TileState<T>,
+    image: &mut BlockImage<T>,
 ) -> u32 {
     let alpha_min = T::from_f64(ALPHA_MIN);
     let alpha_max = T::from_f64(ALPHA_MAX);
     let transmittance_min = T::from_f64(TRANSMITTANCE_MIN);
+    let x = pixels.block_x[block] - splat.mean2d[0];
+    let y = pixels.block_y[block] - splat.mean2d[1];
+    // Copies, so that the compiler knows them apart and makes vectors of the lanes.
+    let (lane_x, lane_y, min_n_ray) = (pixels.lane_x, pixels.lane_y, pixels.min_n_ray[block]);
+    let mut transmittance = state.transmittance[block];
+    let mut entries_used = state.entries_used[block];
+    let mut sums = *image;
+    let splat = *splat;
     let mut outcome = 0;
     for lane in 0..LANES {
-        let sample = Sample::new(
-            splat,
-            offset[0] + pixels.lane_x[lane],
-            offset[1] + pixels.lane_y[lane],
-            min_n_ray[lane],
-        );
+        let sample = Sample::new(&splat, x + lane_x[lane], y + lane_y[lane], min_n_ray[lane]);
         let before = transmittance[lane];
         let takes = (sample.alpha >= alpha_min) & (before >= transmittance_min);
-        let alpha = if takes { sample.alpha.min(alpha_max) } else { T::ZERO };
+        let alpha = if takes {
+            sample.alpha.min(alpha_max)
+        } else {
+            T::ZERO
+        };
         let weight = before * alpha;
-        red[lane] += weight * splat.color[0];
-        green[lane] += weight * splat.color[1];
-        blue[lane] += weight * splat.color[2];
-        depth[lane] += weight * sample.depth;
+        sums.red[lane] += weight * splat.color[0];
+        sums.green[lane] += weight * splat.color[1];
+        sums.blue[lane] += weight * splat.color[2];
+        sums.depth[lane] += weight * sample.depth;
         let after = before * (T::ONE - alpha);
         transmittance[lane] = after;
         entries_used[lane] = if takes { entries } else { entries_used[lane] };
         outcome |= if takes { HIT } else { 0 };
         outcome |= if after >= transmittance_min { OPEN } else { 0 };
     }
+    state.transmittance[block] = transmittance;
+    state.entries_used[block] = entries_used;
+    *image = sums;
     outcome
 }

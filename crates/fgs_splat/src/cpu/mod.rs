@@ -8,6 +8,7 @@
 
 mod backward;
 mod bounds;
+mod chunks;
 mod forward;
 mod project;
 mod project_vjp;
@@ -19,19 +20,16 @@ use fgs_geom::{Image, View};
 use pulp::Arch;
 use rayon::prelude::*;
 
-use backward::{TileCotangents, blend_tile_vjp};
-use bounds::{BLOCKS, LANES, TILE, TileGrid, Touch, push_touches};
-use forward::{TileState, blend_tile};
-use project::{Projection, ScreenCamera, Splat};
-use project_vjp::{ParameterGradient, PixelSums, project_vjp};
+use backward::BlendTileVjp;
+use bounds::{TILE, TileGrid, Touch};
+use chunks::{CHUNK, Chunk, ProjectChunk, ProjectChunkVjp};
+use forward::{BlendTile, TileState};
+use project::{ScreenCamera, Splat};
+use project_vjp::PixelSums;
 pub use real::Real;
-use sample::TilePixels;
 use tiles::{TileLists, Visible};
 
 use crate::{Cotangents, GaussianGradients, Gaussians, Rendered};
-
-/// Gaussians projected by one task.
-const CHUNK: usize = 2048;
 
 /// Renders gaussians. Owns the memory of a pass, so that passes of the same size allocate next to
 /// nothing.
@@ -49,18 +47,6 @@ pub struct Rasterizer<T: Real = f32> {
     contributed: Vec<bool>,
     sums: Vec<PixelSums<T>>,
     rendered: Rendered<T>,
-}
-
-/// What one task finds among its gaussians.
-#[derive(Debug, Default)]
-struct Chunk {
-    /// Their `touches_end` counts from the chunk's first touch.
-    visible: Vec<Visible>,
-    touches: Vec<Touch>,
-    /// Where the chunk's touches start among all.
-    first_touch: usize,
-    /// Gaussians that got a gradient.
-    touched: Vec<u32>,
 }
 
 /// A finished render, which can be differentiated. Borrows the gaussians, so that they cannot
@@ -103,11 +89,7 @@ impl<T: Real> Rasterizer<T> {
     ///
     /// # Panics
     /// If the gaussians' arrays differ in length.
-    pub fn render<'a>(
-        &'a mut self,
-        gaussians: &'a Gaussians<T>,
-        view: &View,
-    ) -> RenderPass<'a, T> {
+    pub fn render<'a>(&'a mut self, gaussians: &'a Gaussians<T>, view: &View) -> RenderPass<'a, T> {
         let camera = ScreenCamera::new(view);
         let grid = TileGrid::new(camera.width, camera.height);
         self.project(gaussians, &camera, &grid);
@@ -132,29 +114,14 @@ impl<T: Real> Rasterizer<T> {
             .zip(&mut self.chunks)
             .enumerate()
             .for_each(|(task, (splats, chunk))| {
-                chunk.visible.clear();
-                chunk.touches.clear();
-                arch.dispatch(
-                    #[inline(always)]
-                    || {
-                        for (index, splat) in (task * CHUNK..).zip(splats) {
-                            let Some(projection) = Projection::new(gaussians, index, camera)
-                            else {
-                                continue;
-                            };
-                            *splat = projection.splat(camera);
-                            let before = chunk.touches.len();
-                            push_touches(splat, grid, &mut chunk.touches);
-                            if chunk.touches.len() > before {
-                                chunk.visible.push(Visible {
-                                    depth_key: splat.center_depth.sort_key(),
-                                    gaussian: index as u32,
-                                    touches_end: chunk.touches.len() as u32,
-                                });
-                            }
-                        }
-                    },
-                );
+                arch.dispatch(ProjectChunk {
+                    gaussians,
+                    first: task * CHUNK,
+                    camera,
+                    grid,
+                    splats,
+                    chunk,
+                });
             });
         self.visible.clear();
         self.touches.clear();
@@ -203,24 +170,18 @@ impl<T: Real> Rasterizer<T> {
                     let (tile_contributed, rest) =
                         std::mem::take(&mut contributed).split_at_mut(entries.len());
                     contributed = rest;
-                    arch.dispatch(
-                        #[inline(always)]
-                        || {
-                            let pixels = TilePixels::new(tile, grid, camera);
-                            *state = TileState::default();
-                            pixels.for_each_pixel(grid, |block, lane, _, _| {
-                                state.transmittance[block][lane] = T::ONE;
-                            });
-                            let image =
-                                blend_tile(&pixels, entries, splats, state, tile_contributed);
-                            pixels.for_each_pixel(grid, |block, lane, u, v| {
-                                let pixel = (v - row * TILE) * grid.width + u;
-                                color[pixel] = image.color[block].map(|channel| channel[lane]);
-                                depth_m[pixel] = image.depth[block][lane];
-                                alpha[pixel] = T::ONE - state.transmittance[block][lane];
-                            });
-                        },
-                    );
+                    arch.dispatch(BlendTile {
+                        tile,
+                        grid,
+                        camera,
+                        entries,
+                        splats,
+                        state,
+                        contributed: tile_contributed,
+                        color: &mut *color,
+                        depth_m: &mut *depth_m,
+                        alpha: &mut *alpha,
+                    });
                 }
             });
     }
@@ -259,6 +220,10 @@ impl<T: Real> RenderPass<'_, T> {
     /// # Panics
     /// If the cotangents' images are not of the camera's size.
     pub fn vjp(&mut self, cotangents: &Cotangents<T>, gradients: &mut GaussianGradients<T>) {
+        let size = (self.grid.width, self.grid.height);
+        assert_eq!(size, size_of_image(&cotangents.d_color), "d_color");
+        assert_eq!(size, size_of_image(&cotangents.d_depth_m), "d_depth_m");
+        assert_eq!(size, size_of_image(&cotangents.d_alpha), "d_alpha");
         self.blend_vjp(cotangents);
         gradients.reset(self.gaussians.len());
         self.project_vjp(gradients);
@@ -277,43 +242,33 @@ impl<T: Real> RenderPass<'_, T> {
         } = &mut *self.scratch;
         let (grid, camera) = (&self.grid, &self.camera);
         sums.resize_with(lists.entries.len(), PixelSums::default);
-        split_by_tile_row(sums, lists, grid)
+        let row_pixels = TILE * grid.width.max(1);
+        (
+            split_by_tile_row(sums, lists, grid),
+            cotangents.d_color.data().par_chunks(row_pixels),
+            cotangents.d_depth_m.data().par_chunks(row_pixels),
+            cotangents.d_alpha.data().par_chunks(row_pixels),
+        )
             .into_par_iter()
             .enumerate()
-            .for_each(|(row, mut sums)| {
+            .for_each(|(row, (mut sums, d_color, d_depth_m, d_alpha))| {
                 for tile in row * grid.columns..(row + 1) * grid.columns {
                     let entries = lists.of_tile(tile);
                     let (tile_sums, rest) = std::mem::take(&mut sums).split_at_mut(entries.len());
                     sums = rest;
-                    arch.dispatch(
-                        #[inline(always)]
-                        || {
-                            let pixels = TilePixels::new(tile, grid, camera);
-                            let mut tile_cotangents = TileCotangents {
-                                d_pixel: [[[T::ZERO; LANES]; 5]; BLOCKS],
-                            };
-                            pixels.for_each_pixel(grid, |block, lane, u, v| {
-                                let [red, green, blue] = cotangents.d_color.at(u, v);
-                                let depth = cotangents.d_depth_m.at(u, v);
-                                let alpha = cotangents.d_alpha.at(u, v);
-                                for (lanes, value) in tile_cotangents.d_pixel[block]
-                                    .iter_mut()
-                                    .zip([red, green, blue, depth, alpha])
-                                {
-                                    lanes[lane] = value;
-                                }
-                            });
-                            blend_tile_vjp(
-                                &pixels,
-                                entries,
-                                splats,
-                                &states[tile],
-                                &contributed[lists.range(tile)],
-                                &tile_cotangents,
-                                tile_sums,
-                            );
-                        },
-                    );
+                    arch.dispatch(BlendTileVjp {
+                        tile,
+                        grid,
+                        camera,
+                        entries,
+                        splats,
+                        state: &states[tile],
+                        contributed: &contributed[lists.range(tile)],
+                        d_color,
+                        d_depth_m,
+                        d_alpha,
+                        sums: tile_sums,
+                    });
                 }
             });
     }
@@ -338,50 +293,31 @@ impl<T: Real> RenderPass<'_, T> {
             gradients.d_sh.par_chunks_mut(CHUNK),
         )
             .into_par_iter()
-            .for_each(|(chunk, d_means, d_quats, d_log_scales, d_logits, d_sh)| {
-                chunk.touched.clear();
-                arch.dispatch(
-                    #[inline(always)]
-                    || {
-                        let mut start = chunk.first_touch;
-                        for visible in &chunk.visible {
-                            let end = chunk.first_touch + visible.touches_end as usize;
-                            let mut total = PixelSums::default();
-                            let mut hit = false;
-                            for &entry in &lists.entry_from_touch[start..end] {
-                                let entry = entry as usize;
-                                if contributed[entry] {
-                                    hit = true;
-                                    total.add(&sums[entry]);
-                                }
-                            }
-                            start = end;
-                            let index = visible.gaussian as usize;
-                            let projection = Projection::new(gaussians, index, camera);
-                            if let (true, Some(projection)) = (hit, projection) {
-                                let ParameterGradient {
-                                    d_mean,
-                                    d_quat,
-                                    d_log_scale,
-                                    d_opacity_logit,
-                                    d_sh: d_sh_one,
-                                } = project_vjp(&projection, camera, &total);
-                                let local = index % CHUNK;
-                                d_means[local] = d_mean;
-                                d_quats[local] = d_quat;
-                                d_log_scales[local] = d_log_scale;
-                                d_logits[local] = d_opacity_logit;
-                                d_sh[local] = d_sh_one;
-                                chunk.touched.push(visible.gaussian);
-                            }
-                        }
-                    },
-                );
-            });
+            .for_each(
+                |(chunk, d_means, d_quats, d_log_scales, d_opacity_logits, d_sh)| {
+                    arch.dispatch(ProjectChunkVjp {
+                        gaussians,
+                        camera,
+                        lists,
+                        contributed,
+                        sums,
+                        chunk,
+                        d_means,
+                        d_quats,
+                        d_log_scales,
+                        d_opacity_logits,
+                        d_sh,
+                    });
+                },
+            );
         for chunk in chunks {
             gradients.touched.extend_from_slice(&chunk.touched);
         }
     }
+}
+
+fn size_of_image<X>(image: &Image<X>) -> (usize, usize) {
+    (image.width(), image.height())
 }
 
 /// One slice of `items` (one per list entry) for each row of tiles.
@@ -400,3 +336,6 @@ fn split_by_tile_row<'a, X>(
         })
         .collect()
 }
+
+#[cfg(test)]
+mod tests;

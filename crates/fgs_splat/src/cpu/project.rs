@@ -155,8 +155,8 @@ impl<T: Real> Projection<T> {
         let rotation = &camera.camera_from_world;
         let center: [T; 3] = std::array::from_fn(|row| dot(&rotation[row], &relative));
         let z = center[2];
-        // Written so that NaN fails.
-        if !(z >= T::from_f64(NEAR_M)) {
+        let in_front = z >= T::from_f64(NEAR_M);
+        if !in_front {
             return None;
         }
 

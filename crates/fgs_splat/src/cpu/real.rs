@@ -102,12 +102,11 @@ impl Real for f32 {
         let rounded = x + ROUND;
         let f = x - (rounded - ROUND);
         // Minimax polynomial of 2^f on [-1/2, 1/2] with value 1 at 0: relative error 9.2e-8.
-        let power = ((((0.001_326_472_7 * f + 0.009_671_513) * f + 0.055_507_34) * f
-            + 0.240_222_42)
-            * f
-            + 0.693_146_98)
-            * f
-            + 1.0;
+        let power =
+            ((((0.001_326_472_7 * f + 0.009_671_513) * f + 0.055_507_34) * f + 0.240_222_42) * f
+                + 0.693_147)
+                * f
+                + 1.0;
         f32::from_bits(power.to_bits().wrapping_add(rounded.to_bits() << 23))
     }
 

@@ -17,7 +17,7 @@ pub(super) struct Sample<T> {
     pub q: T,
     /// Not clamped.
     pub alpha: T,
-    /// 1 / (normal . ray); only of use `on_plane`.
+    /// 1 / (normal . ray) where `on_plane`, else some finite value.
     pub inverse_n_ray: T,
     /// Whether the depth is the plane's, not the centre's.
     pub on_plane: bool,
@@ -32,8 +32,8 @@ impl<T: Real> Sample<T> {
         let q = splat.whiten_yy * dy;
         let alpha = splat.opacity * (-(p * p + q * q)).exp2_nonpositive();
         let n_ray = splat.plane[0] + splat.plane[1] * dx + splat.plane[2] * dy;
-        let inverse_n_ray = T::ONE / n_ray;
         let on_plane = n_ray >= min_n_ray;
+        let inverse_n_ray = T::ONE / n_ray.max(min_n_ray);
         let depth = if on_plane {
             splat.plane_offset * inverse_n_ray
         } else {
@@ -93,20 +93,16 @@ impl<T: Real> TilePixels<T> {
         }
     }
 
-    /// Calls `visit(block, lane, u, v)` for each pixel of the tile that lies in the image.
+    /// Calls `visit(block, lane, pixel)` for each pixel of the tile that lies in the image;
+    /// `pixel` counts row-major from the first row of the tile.
     #[inline(always)]
-    pub fn for_each_pixel(
-        &self,
-        grid: &TileGrid,
-        mut visit: impl FnMut(usize, usize, usize, usize),
-    ) {
-        for block in 0..BLOCKS {
-            for lane in 0..LANES {
-                let u = self.origin[0] + block % TILE_BLOCKS * BLOCK + lane % BLOCK;
-                let v = self.origin[1] + block / TILE_BLOCKS * BLOCK + lane / BLOCK;
-                if u < grid.width && v < grid.height {
-                    visit(block, lane, u, v);
-                }
+    pub fn for_each_pixel(&self, grid: &TileGrid, mut visit: impl FnMut(usize, usize, usize)) {
+        let [u0, v0] = self.origin;
+        for row in 0..TILE.min(grid.height - v0) {
+            for column in 0..TILE.min(grid.width - u0) {
+                let block = row / BLOCK * TILE_BLOCKS + column / BLOCK;
+                let lane = row % BLOCK * BLOCK + column % BLOCK;
+                visit(block, lane, row * grid.width + u0 + column);
             }
         }
     }

@@ -59,14 +59,15 @@ pub fn color_loss(
         .map_init(
             || Strip::new(width * CHANNELS),
             |strip, (index, d_color)| {
-                pulp::Arch::new().dispatch(
-                    #[inline(always)]
-                    || {
-                        let masked = settings.mask_color_by_depth;
-                        strip.load(color, target, masked, index * STRIP_ROWS);
-                        strip.differentiate(&weights, d_color.as_flattened_mut())
-                    },
-                )
+                pulp::Arch::new().dispatch(StripLoss {
+                    strip,
+                    color,
+                    target,
+                    masked: settings.mask_color_by_depth,
+                    first_row: index * STRIP_ROWS,
+                    weights: &weights,
+                    d_color: d_color.as_flattened_mut(),
+                })
             },
         )
         .collect();
@@ -81,6 +82,30 @@ pub fn color_loss(
 struct Weights {
     l1: f32,
     ssim: f32,
+}
+
+/// The work on one strip, compiled for each instruction set.
+struct StripLoss<'a> {
+    strip: &'a mut Strip,
+    color: &'a Image<[f32; 3]>,
+    target: &'a Target,
+    masked: bool,
+    first_row: usize,
+    weights: &'a Weights,
+    d_color: &'a mut [f32],
+}
+
+impl pulp::WithSimd for StripLoss<'_> {
+    type Output = ColorLoss;
+
+    // A closure would do, but nothing makes the compiler inline one into the function that has
+    // the instruction set.
+    #[inline(always)]
+    fn with_simd<S: pulp::Simd>(self, _: S) -> ColorLoss {
+        self.strip
+            .load(self.color, self.target, self.masked, self.first_row);
+        self.strip.differentiate(self.weights, self.d_color)
+    }
 }
 
 /// Buffers of one strip. Rows outside the image are zero and not valid.

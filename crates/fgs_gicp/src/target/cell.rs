@@ -1,0 +1,96 @@
+//! The points of one cell of a map, four side by side, so that four distances are computed at
+//! once.
+//! Invariant: lanes without a point are infinitely far away.
+
+use nalgebra::Vector3;
+
+/// Points per group: one SSE or NEON register, and one cache line for a group.
+const LANES: usize = 4;
+
+/// Positions and slots of a cell's points, in no particular order.
+#[derive(Clone, Debug, Default)]
+pub(super) struct CellPoints {
+    groups: Vec<Group>,
+    len: usize,
+}
+
+#[derive(Clone, Debug)]
+struct Group {
+    x: [f32; LANES],
+    y: [f32; LANES],
+    z: [f32; LANES],
+    slots: [u32; LANES],
+}
+
+impl Group {
+    const EMPTY: Self = Self {
+        x: [f32::INFINITY; LANES],
+        y: [f32::INFINITY; LANES],
+        z: [f32::INFINITY; LANES],
+        slots: [u32::MAX; LANES],
+    };
+
+    #[inline]
+    fn squared_distances(&self, query: &Vector3<f32>) -> [f32; LANES] {
+        std::array::from_fn(|i| {
+            let (dx, dy, dz) = (
+                self.x[i] - query.x,
+                self.y[i] - query.y,
+                self.z[i] - query.z,
+            );
+            dx * dx + dy * dy + dz * dz
+        })
+    }
+
+    fn set(&mut self, lane: usize, position: &Vector3<f32>, slot: u32) {
+        (self.x[lane], self.y[lane], self.z[lane]) = (position.x, position.y, position.z);
+        self.slots[lane] = slot;
+    }
+}
+
+impl CellPoints {
+    pub(super) fn is_empty(&self) -> bool {
+        self.len == 0
+    }
+
+    pub(super) fn push(&mut self, position: &Vector3<f32>, slot: u32) {
+        if self.len.is_multiple_of(LANES) {
+            self.groups.push(Group::EMPTY);
+        }
+        self.groups[self.len / LANES].set(self.len % LANES, position, slot);
+        self.len += 1;
+    }
+
+    /// Takes a slot's point out, if it is here; the last point takes its place.
+    pub(super) fn remove(&mut self, slot: u32) {
+        let Some(at) = (0..self.len).find(|&i| self.groups[i / LANES].slots[i % LANES] == slot)
+        else {
+            return;
+        };
+        self.len -= 1;
+        let (group, lane) = (&self.groups[self.len / LANES], self.len % LANES);
+        let last = Vector3::new(group.x[lane], group.y[lane], group.z[lane]);
+        let last_slot = group.slots[lane];
+        self.groups[at / LANES].set(at % LANES, &last, last_slot);
+        self.groups[self.len / LANES].set(lane, &Vector3::repeat(f32::INFINITY), u32::MAX);
+        self.groups.truncate(self.len.div_ceil(LANES));
+    }
+
+    /// Calls `visit(squared_distances, slots)` for groups with a point at most `limit` (squared)
+    /// from `query`; `visit` returns the limit from then on.
+    #[inline]
+    pub(super) fn for_groups_within(
+        &self,
+        query: &Vector3<f32>,
+        mut limit: f32,
+        mut visit: impl FnMut(&[f32; LANES], &[u32; LANES]) -> f32,
+    ) {
+        for group in &self.groups {
+            let squared = group.squared_distances(query);
+            // Without short cuts, so that it is one comparison of all lanes.
+            if squared.iter().fold(false, |near, &d| near | (d <= limit)) {
+                limit = visit(&squared, &group.slots);
+            }
+        }
+    }
+}

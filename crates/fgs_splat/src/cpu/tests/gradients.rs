@@ -1,0 +1,148 @@
+//! Gradients against dual numbers through the reference.
+
+use fgs_geom::{Image, View};
+use num_dual::Dual64;
+use rand::RngExt;
+use rand_pcg::Pcg64Mcg;
+
+use super::scenes::{convert, random_gaussians, random_view, rng, to_f32};
+use crate::cpu::{Rasterizer, Real};
+use crate::{Cotangents, GaussianGradients, Gaussians, reference};
+
+pub fn random_cotangents(rng: &mut Pcg64Mcg, view: &View) -> Cotangents<f64> {
+    let (width, height) = (view.camera.width, view.camera.height);
+    let mut number = || rng.random_range(-1.0..1.0);
+    Cotangents {
+        d_color: Image::from_fn(width, height, |_, _| [number(), number(), number()]),
+        d_depth_m: Image::from_fn(width, height, |_, _| number()),
+        d_alpha: Image::from_fn(width, height, |_, _| number()),
+    }
+}
+
+/// A gaussian's 14 parameters or derivatives in a row.
+fn row<T: Copy>(means: &[T; 3], quats: &[T; 4], scales: &[T; 3], logit: T, sh: &[T; 3]) -> [T; 14] {
+    let flat = [&means[..], quats, scales, &[logit], sh].concat();
+    std::array::from_fn(|i| flat[i])
+}
+
+pub fn gradient_rows<T: Copy>(g: &GaussianGradients<T>) -> Vec<[T; 14]> {
+    (0..g.d_means.len())
+        .map(|i| {
+            row(
+                &g.d_means[i],
+                &g.d_quats[i],
+                &g.d_log_scales[i],
+                g.d_opacity_logits[i],
+                &g.d_sh[i],
+            )
+        })
+        .collect()
+}
+
+fn parameter<T>(gaussians: &mut Gaussians<T>, index: usize, component: usize) -> &mut T {
+    match component {
+        0..3 => &mut gaussians.means[index][component],
+        3..7 => &mut gaussians.quats[index][component - 3],
+        7..10 => &mut gaussians.log_scales[index][component - 7],
+        10 => &mut gaussians.opacity_logits[index],
+        _ => &mut gaussians.sh[index][component - 11],
+    }
+}
+
+/// The derivative of `<cotangents, render>` by each parameter, by dual numbers.
+fn dual_gradient(
+    gaussians: &Gaussians<f64>,
+    view: &View,
+    cotangents: &Cotangents<f64>,
+) -> Vec<[f64; 14]> {
+    let mut dual = convert(gaussians, Dual64::from_re);
+    (0..gaussians.len())
+        .map(|index| {
+            std::array::from_fn(|component| {
+                parameter(&mut dual, index, component).eps = 1.0;
+                let pixels = reference::render(&dual, view);
+                parameter(&mut dual, index, component).eps = 0.0;
+                let mut sum = 0.0;
+                for (i, pixel) in pixels.iter().enumerate() {
+                    let d_color = cotangents.d_color.data()[i];
+                    for (d, color) in d_color.iter().zip(&pixel.color) {
+                        sum += d * color.eps;
+                    }
+                    sum += cotangents.d_depth_m.data()[i] * pixel.depth_m.eps;
+                    sum += cotangents.d_alpha.data()[i] * pixel.alpha.eps;
+                }
+                sum
+            })
+        })
+        .collect()
+}
+
+pub fn vjp<T: Real>(
+    gaussians: &Gaussians<T>,
+    view: &View,
+    cotangents: &Cotangents<T>,
+) -> GaussianGradients<T> {
+    let mut rasterizer = Rasterizer::default();
+    let mut gradients = GaussianGradients::default();
+    rasterizer
+        .render(gaussians, view)
+        .vjp(cotangents, &mut gradients);
+    gradients
+}
+
+pub fn cotangents_to_f32(cotangents: &Cotangents<f64>) -> Cotangents<f32> {
+    Cotangents {
+        d_color: cotangents.d_color.map(|c| c.map(|v| v as f32)),
+        d_depth_m: cotangents.d_depth_m.map(|&v| v as f32),
+        d_alpha: cotangents.d_alpha.map(|&v| v as f32),
+    }
+}
+
+#[test]
+fn every_gradient_agrees_with_dual_numbers() {
+    let mut strong = [0_usize; 14];
+    let mut worst = 0.0_f64;
+    for (seed, (width, height)) in [(1, 1), (17, 33), (20, 13), (33, 17)]
+        .into_iter()
+        .enumerate()
+    {
+        let mut rng = rng(seed as u64);
+        let view = random_view(&mut rng, width, height);
+        let gaussians = random_gaussians(&mut rng, &view, 12);
+        let cotangents = random_cotangents(&mut rng, &view);
+        let expected = dual_gradient(&gaussians, &view, &cotangents);
+        let gradients = vjp(&gaussians, &view, &cotangents);
+        let found = gradient_rows(&gradients);
+        for (expected, found) in expected.iter().zip(&found) {
+            // Components of one kind share a scale: errors are relative to the largest.
+            for group in [0..3, 3..7, 7..10, 10..11, 11..14] {
+                let scale = group.clone().map(|i| expected[i].abs()).fold(0.0, f64::max);
+                for i in group {
+                    let error = (expected[i] - found[i]).abs();
+                    assert!(
+                        error <= 1e-9 * scale.max(1e-6),
+                        "{width}x{height}, component {i}: {} instead of {}",
+                        found[i],
+                        expected[i]
+                    );
+                    worst = worst.max(error / scale.max(1e-6));
+                    strong[i] += usize::from(expected[i].abs() > 1e-2);
+                }
+            }
+        }
+        let single = vjp(&to_f32(&gaussians), &view, &cotangents_to_f32(&cotangents));
+        let (mut error2, mut norm2) = (0.0, 0.0);
+        for (double, single) in found.iter().zip(gradient_rows(&single)) {
+            for (double, single) in double.iter().zip(single) {
+                error2 += (double - f64::from(single)).powi(2);
+                norm2 += double * double;
+            }
+        }
+        assert!(
+            error2.sqrt() <= 1e-4 * norm2.sqrt() + 1e-6,
+            "{error2} {norm2}"
+        );
+    }
+    println!("worst relative error {worst:e}, gradients above the floor {strong:?}");
+    assert!(strong.iter().all(|&count| count >= 10), "{strong:?}");
+}

@@ -1,0 +1,5 @@
+//! The CPU rasteriser against closed forms, the reference and its own symmetries.
+
+mod gradients;
+mod scenes;
+mod values;

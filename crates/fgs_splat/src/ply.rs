@@ -1,0 +1,312 @@
+//! Gaussians as PLY files in the layout of the original 3D gaussian splatting.
+//!
+//! Input and output: element `vertex` with the float properties `x y z nx ny nz f_dc_0..2 opacity
+//! scale_0..2 rot_0..3`: stored parameters as they are (logits, log-scales, wxyz), so that what is
+//! written comes back bit for bit, and splat viewers open it. The normal is the flat axis, for
+//! viewers of point clouds. Files are written whole or not at all. A file never makes the reader
+//! panic, nor take more memory than a small multiple of the file's size, whatever its header says.
+
+use crate::Gaussians;
+use ply_rs_bw::parser::{ParseError, Parser, Reader};
+use ply_rs_bw::ply::{
+    Addable, ElementDef, Encoding, Header, PropertyAccess, PropertyAccessResult, PropertyDef,
+    PropertyType, ScalarType,
+};
+use ply_rs_bw::writer::Writer;
+use std::fs::File;
+use std::io::{self, BufRead, BufReader, BufWriter, ErrorKind, Write};
+use std::path::{Path, PathBuf};
+use thiserror::Error;
+
+const PROPERTIES: [&str; 17] = [
+    "x", "y", "z", "nx", "ny", "nz", "f_dc_0", "f_dc_1", "f_dc_2", "opacity", "scale_0", "scale_1",
+    "scale_2", "rot_0", "rot_1", "rot_2", "rot_3",
+];
+/// Where the normal is among [`PROPERTIES`]: the only ones that a file need not have.
+const NORMAL: std::ops::Range<usize> = 3..6;
+
+/// A header has some 70 lines. Without an end, a file of other content is read as one.
+const MAX_HEADER_BYTES: u64 = 1 << 20;
+
+/// Why a PLY file was not read or written.
+#[derive(Debug, Error)]
+pub enum PlyError {
+    /// The file cannot be opened, read or written.
+    #[error("{}: {source}", path.display())]
+    Io {
+        /// The file.
+        path: PathBuf,
+        /// What the system says.
+        source: io::Error,
+    },
+    /// The file is not PLY.
+    #[error("{}: {source}", path.display())]
+    Parse {
+        /// The file.
+        path: PathBuf,
+        /// Where and why, with the line if it is a matter of lines.
+        source: ParseError,
+    },
+    /// The file ends too early.
+    #[error("{}: ends before the last of its {vertices} vertices", path.display())]
+    Truncated {
+        /// The file.
+        path: PathBuf,
+        /// The number that its header promises.
+        vertices: usize,
+    },
+    /// The first element is not `vertex`.
+    #[error("{}: the first element is {found:?}, not \"vertex\"", path.display())]
+    NoVertices {
+        /// The file.
+        path: PathBuf,
+        /// Name of the first element, empty if there is none.
+        found: String,
+    },
+    /// A vertex lacks a property, or it is not a float or double.
+    #[error("{}: needs a float property {property:?}", path.display())]
+    Property {
+        /// The file.
+        path: PathBuf,
+        /// Its name.
+        property: &'static str,
+    },
+    /// A value is infinite or not a number.
+    #[error("{}: {property} of vertex {vertex} is {value}", path.display())]
+    NotFinite {
+        /// The file.
+        path: PathBuf,
+        /// Index of the gaussian.
+        vertex: usize,
+        /// Which property.
+        property: &'static str,
+        /// Its value.
+        value: f32,
+    },
+}
+
+/// Writes a binary little-endian PLY file, replacing what is there only once it is complete.
+///
+/// # Errors
+/// If a parameter is not finite or the file cannot be written; nothing is then left behind.
+pub fn write_ply(path: &Path, gaussians: &Gaussians) -> Result<(), PlyError> {
+    let io_error = |source| PlyError::Io {
+        path: path.to_owned(),
+        source,
+    };
+    let folder = match path.parent() {
+        Some(folder) if folder != Path::new("") => folder,
+        _ => Path::new("."),
+    };
+    let mut builder = tempfile::Builder::new();
+    // Temporary files are private by default; the map is to be as readable as any other file.
+    #[cfg(unix)]
+    builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
+    let mut file = builder.tempfile_in(folder).map_err(io_error)?;
+
+    let header = header(gaussians.len());
+    let writer = Writer::<Vertex>::new();
+    let mut out = BufWriter::new(file.as_file_mut());
+    writer.write_header(&mut out, &header).map_err(io_error)?;
+    for i in 0..gaussians.len() {
+        let vertex = Vertex::of(gaussians, i);
+        vertex.check_finite(path, i)?;
+        for element in header.elements.values() {
+            writer
+                .write_little_endian_element(&mut out, &vertex, element)
+                .map_err(io_error)?;
+        }
+    }
+    out.flush().map_err(io_error)?;
+    drop(out);
+    file.as_file().sync_all().map_err(io_error)?;
+    file.persist(path).map_err(|error| io_error(error.error))?;
+    Ok(())
+}
+
+/// Reads a PLY file, text or binary, of any order of properties; those it does not know are
+/// skipped, higher spherical harmonics among them.
+///
+/// # Errors
+/// If the file cannot be read, is no PLY, does not begin with the vertices, lacks a property, ends
+/// early or holds a value that is not finite.
+pub fn read_ply(path: &Path) -> Result<Gaussians, PlyError> {
+    let file = File::open(path).map_err(|source| PlyError::Io {
+        path: path.to_owned(),
+        source,
+    })?;
+    read(path, BufReader::new(file))
+}
+
+fn read(path: &Path, input: impl BufRead) -> Result<Gaussians, PlyError> {
+    let path_buf = || path.to_owned();
+    let parser = Parser::<Vertex>::new();
+    let mut reader = Reader::new(input.take(MAX_HEADER_BYTES));
+    let header = parser
+        .read_header(&mut reader)
+        .map_err(|source| PlyError::Parse {
+            path: path_buf(),
+            source,
+        })?;
+    let element = match header.elements.first() {
+        Some((name, element)) if name == "vertex" => element,
+        other => {
+            return Err(PlyError::NoVertices {
+                path: path_buf(),
+                found: other.map(|(name, _)| name.clone()).unwrap_or_default(),
+            });
+        }
+    };
+    for (slot, property) in PROPERTIES.into_iter().enumerate() {
+        let readable = match element.properties.get(property) {
+            Some(definition) => matches!(
+                definition.data_type,
+                PropertyType::Scalar(ScalarType::Float | ScalarType::Double)
+            ),
+            None => NORMAL.contains(&slot),
+        };
+        if !readable {
+            return Err(PlyError::Property {
+                path: path_buf(),
+                property,
+            });
+        }
+    }
+
+    reader.get_mut().set_limit(u64::MAX);
+    let vertices = parser
+        .read_payload_for_element(&mut reader, element, &header)
+        .map_err(|source| match source.kind() {
+            ErrorKind::UnexpectedEof => PlyError::Truncated {
+                path: path_buf(),
+                vertices: element.count,
+            },
+            _ => PlyError::Parse {
+                path: path_buf(),
+                source,
+            },
+        })?;
+    let mut gaussians = Gaussians::default();
+    for (i, vertex) in vertices.iter().enumerate() {
+        vertex.check_finite(path, i)?;
+        vertex.push_to(&mut gaussians);
+    }
+    Ok(gaussians)
+}
+
+fn header(vertices: usize) -> Header {
+    let mut element = ElementDef::new("vertex".to_owned());
+    element.count = vertices;
+    for name in PROPERTIES {
+        let float = PropertyType::Scalar(ScalarType::Float);
+        element
+            .properties
+            .add(PropertyDef::new(name.to_owned(), float));
+    }
+    let mut header = Header::new();
+    header.encoding = Encoding::BinaryLittleEndian;
+    header.elements.add(element);
+    header
+}
+
+/// Values in the order of [`PROPERTIES`].
+#[derive(Clone, Copy)]
+struct Vertex([f32; PROPERTIES.len()]);
+
+impl Vertex {
+    fn of(gaussians: &Gaussians, i: usize) -> Self {
+        let [x, y, z] = gaussians.means[i];
+        let [nx, ny, nz] = flat_axis(gaussians.quats[i]);
+        let [red, green, blue] = gaussians.sh[i];
+        let opacity = gaussians.opacity_logits[i];
+        let [s0, s1, s2] = gaussians.log_scales[i];
+        let [qw, qx, qy, qz] = gaussians.quats[i];
+        Self([
+            x, y, z, nx, ny, nz, red, green, blue, opacity, s0, s1, s2, qw, qx, qy, qz,
+        ])
+    }
+
+    fn push_to(&self, gaussians: &mut Gaussians) {
+        let [
+            x,
+            y,
+            z,
+            _,
+            _,
+            _,
+            red,
+            green,
+            blue,
+            opacity,
+            s0,
+            s1,
+            s2,
+            qw,
+            qx,
+            qy,
+            qz,
+        ] = self.0;
+        gaussians.means.push([x, y, z]);
+        gaussians.sh.push([red, green, blue]);
+        gaussians.opacity_logits.push(opacity);
+        gaussians.log_scales.push([s0, s1, s2]);
+        gaussians.quats.push([qw, qx, qy, qz]);
+    }
+
+    fn check_finite(&self, path: &Path, vertex: usize) -> Result<(), PlyError> {
+        for (slot, (property, value)) in PROPERTIES.into_iter().zip(self.0).enumerate() {
+            if !value.is_finite() && !NORMAL.contains(&slot) {
+                return Err(PlyError::NotFinite {
+                    path: path.to_owned(),
+                    vertex,
+                    property,
+                    value,
+                });
+            }
+        }
+        Ok(())
+    }
+}
+
+impl PropertyAccess for Vertex {
+    fn new() -> Self {
+        Self([0.0; PROPERTIES.len()])
+    }
+
+    fn set_float(&mut self, name: &str, value: f32) -> PropertyAccessResult {
+        match PROPERTIES.iter().position(|property| *property == name) {
+            Some(slot) => {
+                self.0[slot] = value;
+                PropertyAccessResult::Set
+            }
+            None => PropertyAccessResult::Ignored,
+        }
+    }
+
+    fn set_double(&mut self, name: &str, value: f64) -> PropertyAccessResult {
+        self.set_float(name, value as f32)
+    }
+
+    fn get_float(&self, name: &str) -> Option<f32> {
+        let slot = PROPERTIES.iter().position(|property| *property == name)?;
+        Some(self.0[slot])
+    }
+}
+
+/// The gaussian's third axis in the world, zero if the quaternion is.
+fn flat_axis([w, x, y, z]: [f32; 4]) -> [f32; 3] {
+    let axis = [
+        2.0 * (x * z + w * y),
+        2.0 * (y * z - w * x),
+        w * w + z * z - x * x - y * y,
+    ];
+    let length = axis.iter().map(|a| a * a).sum::<f32>().sqrt();
+    if length > 0.0 && length.is_finite() {
+        axis.map(|a| a / length)
+    } else {
+        [0.0; 3]
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,152 @@
+//! Puts solids into a room, piece by piece, in the axes of each piece of furniture.
+
+use nalgebra::{Rotation3, Vector3};
+use rand::RngExt;
+use rand_pcg::Pcg64Mcg;
+
+use crate::light::Lamp;
+use crate::pattern::{Pattern, Rgb};
+use crate::room::Finish;
+use crate::shape::{Form, Solid};
+
+/// Where a piece of furniture stands: its axes are x to the side, y to the front and z up.
+#[derive(Clone, Copy)]
+pub(crate) struct Place {
+    origin: Vector3<f64>,
+    world_from_place: Rotation3<f64>,
+}
+
+impl Place {
+    /// `yaw` (rad) turns x towards y.
+    pub fn new(origin: [f64; 3], yaw: f64) -> Self {
+        Self {
+            origin: origin.into(),
+            world_from_place: Rotation3::from_axis_angle(&Vector3::z_axis(), yaw),
+        }
+    }
+
+    /// The place at (x, y, z) of this one, turned by a further `yaw`.
+    pub fn at(&self, point: [f64; 3], yaw: f64) -> Self {
+        let turn = Rotation3::from_axis_angle(&Vector3::z_axis(), yaw);
+        Self {
+            origin: self.to_world(point),
+            world_from_place: self.world_from_place * turn,
+        }
+    }
+
+    fn to_world(self, point: [f64; 3]) -> Vector3<f64> {
+        self.origin + self.world_from_place * Vector3::from(point)
+    }
+}
+
+/// A room in the making.
+pub(crate) struct Builder {
+    pub solids: Vec<Solid>,
+    pub finishes: Vec<Finish>,
+    pub lamps: Vec<Lamp>,
+    pub rng: Pcg64Mcg,
+}
+
+impl Builder {
+    pub fn new(rng: Pcg64Mcg) -> Self {
+        Self {
+            solids: Vec::new(),
+            finishes: Vec::new(),
+            lamps: Vec::new(),
+            rng,
+        }
+    }
+
+    /// A number between two others.
+    pub fn between(&mut self, low: f64, high: f64) -> f64 {
+        self.rng.random_range(low..high)
+    }
+
+    /// One of several things.
+    pub fn choose<T: Copy, const N: usize>(&mut self, choices: [T; N]) -> T {
+        choices[self.rng.random_range(0..N)]
+    }
+
+    /// A block between two corners.
+    pub fn block(&mut self, at: Place, low: [f64; 3], high: [f64; 3], pattern: Pattern) {
+        let middle = std::array::from_fn(|i| 0.5 * (low[i] + high[i]));
+        let half = Vector3::from_fn(|i, _| 0.5 * (high[i] - low[i]));
+        self.solid(
+            at,
+            Form::Block,
+            half,
+            middle,
+            Rotation3::identity(),
+            pattern,
+        );
+    }
+
+    /// A block about a centre, turned by `turn` in the place's axes.
+    pub fn turned_block(
+        &mut self,
+        at: Place,
+        center: [f64; 3],
+        half: [f64; 3],
+        turn: Rotation3<f64>,
+        pattern: Pattern,
+    ) {
+        self.solid(at, Form::Block, half.into(), center, turn, pattern);
+    }
+
+    /// An ellipsoid.
+    pub fn ball(&mut self, at: Place, center: [f64; 3], half: [f64; 3], pattern: Pattern) {
+        let turn = Rotation3::identity();
+        self.solid(at, Form::Ball, half.into(), center, turn, pattern);
+    }
+
+    /// An upright cone or cylinder on `foot` with these radii at its bottom and top.
+    pub fn frustum(
+        &mut self,
+        at: Place,
+        [x, y, z]: [f64; 3],
+        height: f64,
+        [bottom, top]: [f64; 2],
+        pattern: Pattern,
+    ) {
+        let radius = bottom.max(top);
+        let half = Vector3::new(radius, radius, 0.5 * height);
+        let form = Form::Frustum { bottom, top };
+        let center = [x, y, z + 0.5 * height];
+        self.solid(at, form, half, center, Rotation3::identity(), pattern);
+    }
+
+    /// A lamp without a body.
+    pub fn lamp(&mut self, at: Place, center: [f64; 3], half: [f64; 3], power: Rgb) {
+        self.lamps.push(Lamp {
+            center: at.to_world(center),
+            half: (at.world_from_place.matrix() * Vector3::from(half)).abs(),
+            power,
+        });
+    }
+
+    /// Makes the last solid glow by `glow` times its albedo.
+    pub fn light_up_last(&mut self, glow: f32) {
+        if let Some(finish) = self.finishes.last_mut() {
+            finish.glow = glow;
+        }
+    }
+
+    fn solid(
+        &mut self,
+        at: Place,
+        form: Form,
+        half: Vector3<f64>,
+        center: [f64; 3],
+        turn: Rotation3<f64>,
+        pattern: Pattern,
+    ) {
+        let turn = at.world_from_place * turn;
+        self.solids
+            .push(Solid::new(form, half, at.to_world(center), turn));
+        self.finishes.push(Finish {
+            pattern,
+            seed: self.rng.random(),
+            glow: 0.0,
+        });
+    }
+}

@@ -1,0 +1,244 @@
+//! Which furniture stands where: walls, floor and ceiling, furniture along each wall, and a middle
+//! free above table height, where the camera walks.
+
+use std::f64::consts::{FRAC_PI_2, PI};
+
+use nalgebra::Vector3;
+use rand::RngExt;
+use rand::seq::SliceRandom;
+
+use crate::builder::{Builder, Place};
+use crate::furniture as f;
+use crate::pattern::{Pattern, Rgb, srgb};
+
+/// Left free at both ends of a wall for the corner and the furniture of the next wall, metres.
+const CORNER_M: f64 = 0.62;
+
+/// What stands along a wall.
+#[derive(Clone, Copy)]
+enum Item {
+    Bookcase,
+    Sideboard,
+    Sofa,
+    Desk,
+    Door,
+    Window,
+}
+
+impl Item {
+    fn width(self) -> f64 {
+        match self {
+            Self::Bookcase => 1.05,
+            Self::Sideboard => 1.3,
+            Self::Sofa => 2.0,
+            Self::Desk => 1.4,
+            Self::Door => 1.0,
+            Self::Window => 2.4,
+        }
+    }
+
+    fn put(self, b: &mut Builder, at: Place, wood: Rgb) {
+        let middle = 0.5 * self.width();
+        let above = |b: &mut Builder, z: f64, tall: f64| {
+            let size = [b.between(1.1, 1.6) * tall, tall];
+            f::painting(b, at.at([middle, 0.0, z], 0.0), size);
+        };
+        match self {
+            Self::Bookcase => {
+                let height = b.between(1.8, 2.15);
+                f::bookcase(b, at, self.width(), height, wood);
+            }
+            Self::Sideboard => {
+                f::sideboard(b, at, self.width(), 0.8, wood);
+                above(b, 1.65, 0.62);
+            }
+            Self::Sofa => {
+                f::sofa(b, at, self.width());
+                above(b, 1.55, 0.8);
+            }
+            Self::Desk => {
+                f::desk(b, at, wood);
+                above(b, 1.75, 0.5);
+            }
+            Self::Door => f::door(b, at.at([middle, 0.0, 0.0], 0.0), wood),
+            Self::Window => {
+                let at = at.at([middle, 0.0, 0.0], 0.0);
+                f::window(b, at, 1.4);
+                f::radiator(b, at, 1.2);
+            }
+        }
+    }
+}
+
+/// Fills the room: `kind` 0 is a living room, 1 a study, 2 a dining room. Returns its size.
+pub(crate) fn furnish(b: &mut Builder, kind: u64) -> Vector3<f64> {
+    let size = Vector3::new(
+        b.between(5.0, 5.8),
+        b.between(4.6, 5.2),
+        b.between(2.5, 2.75),
+    );
+    let wood = srgb(b.choose([0x8a5a36, 0xb98a5a, 0x5f4030, 0xc9b08c]));
+    shell(b, size, kind);
+    let mut walls = match kind {
+        0 => [
+            vec![Item::Sofa, Item::Bookcase],
+            vec![Item::Window],
+            vec![Item::Sideboard, Item::Bookcase],
+            vec![Item::Door, Item::Sideboard],
+        ],
+        1 => [
+            vec![Item::Desk, Item::Bookcase],
+            vec![Item::Bookcase, Item::Bookcase],
+            vec![Item::Window, Item::Bookcase],
+            vec![Item::Door, Item::Sideboard],
+        ],
+        _ => [
+            vec![Item::Sideboard, Item::Sideboard],
+            vec![Item::Window],
+            vec![Item::Bookcase, Item::Sideboard],
+            vec![Item::Door, Item::Bookcase],
+        ],
+    };
+    for (items, (place, length)) in walls.iter_mut().zip(along_walls(&size)) {
+        items.shuffle(&mut b.rng);
+        stand_along(b, items, place, length, wood);
+    }
+    corners(b, &size);
+    middle(b, size.z, kind, wood);
+    size
+}
+
+/// For each wall the place at its left end (from behind), y into the room, and its length.
+fn along_walls(size: &Vector3<f64>) -> [(Place, f64); 4] {
+    let (x, y) = (0.5 * size.x, 0.5 * size.y);
+    [
+        (Place::new([-x, -y, 0.0], 0.0), size.x),
+        (Place::new([x, -y, 0.0], FRAC_PI_2), size.y),
+        (Place::new([x, y, 0.0], PI), size.x),
+        (Place::new([-x, y, 0.0], -FRAC_PI_2), size.y),
+    ]
+}
+
+fn stand_along(b: &mut Builder, items: &[Item], wall: Place, length: f64, wood: Rgb) {
+    let free = length - 2.0 * CORNER_M - items.iter().map(|item| item.width()).sum::<f64>();
+    let gap = free.max(0.0) / (items.len() + 1) as f64;
+    let mut x = CORNER_M + gap;
+    for item in items {
+        item.put(b, wall.at([x, 0.0, 0.0], 0.0), wood);
+        x += item.width() + gap;
+    }
+}
+
+fn shell(b: &mut Builder, size: Vector3<f64>, kind: u64) {
+    let (x, y, z) = (0.5 * size.x, 0.5 * size.y, size.z);
+    // Thickness; walls overlap at the corners so that no ray slips through.
+    const T: f64 = 0.2;
+    let pale = srgb(b.choose([0xe8e0d0, 0xdcd8cc, 0xcfd8d6, 0xe6d9c4]));
+    let floor = match kind {
+        0 => Pattern::Planks(srgb(b.choose([0x9a6a42, 0xb58a5c, 0x7a5238]))),
+        1 => Pattern::Planks(srgb(b.choose([0x6f4a30, 0x8a6a4c]))),
+        _ => Pattern::Tiles {
+            colors: b.choose([
+                [srgb(0xd9d2c4), srgb(0x6d7a80)],
+                [srgb(0xcdbfa8), srgb(0x9a5a40)],
+            ]),
+            side: 0.33,
+        },
+    };
+    let accent = match kind {
+        0 => Pattern::Wallpaper {
+            ground: srgb(0xd8cfb8),
+            motif: srgb(b.choose([0x9aa88a, 0xb58f7a, 0x8fa0b0])),
+        },
+        1 => Pattern::Plaster(srgb(b.choose([0x5f7d78, 0x8a5548, 0x50617a]))),
+        _ => Pattern::Bricks(srgb(b.choose([0xa8604a, 0xb58a70]))),
+    };
+    let accented = b.rng.random_range(0..4);
+    let slabs = [
+        ([-x - T, -y - T, 0.0], [x + T, -y, z]),
+        ([x, -y - T, 0.0], [x + T, y + T, z]),
+        ([-x - T, y, 0.0], [x + T, y + T, z]),
+        ([-x - T, -y - T, 0.0], [-x, y + T, z]),
+    ];
+    let world = Place::new([0.0; 3], 0.0);
+    for (i, (low, high)) in slabs.into_iter().enumerate() {
+        let pattern = if i == accented {
+            accent
+        } else {
+            Pattern::Plaster(pale)
+        };
+        b.block(world, low, high, pattern);
+    }
+    b.block(world, [-x - T, -y - T, -T], [x + T, y + T, 0.0], floor);
+    let white = Pattern::Paint(srgb(0xe9e7e2));
+    b.block(world, [-x - T, -y - T, z], [x + T, y + T, z + T], white);
+    for (wall, length) in along_walls(&size) {
+        b.block(wall, [0.0, 0.0, 0.0], [length, 0.015, 0.09], white);
+        b.block(wall, [0.0, 0.0, z - 0.07], [length, 0.05, z], white);
+    }
+}
+
+fn corners(b: &mut Builder, size: &Vector3<f64>) {
+    let (x, y) = (0.5 * size.x - 0.36, 0.5 * size.y - 0.36);
+    let mut points = [[-x, -y, 0.0], [x, -y, 0.0], [x, y, 0.0], [-x, y, 0.0]];
+    points.shuffle(&mut b.rng);
+    let [first, second, third, fourth] = points.map(|point| Place::new(point, 0.0));
+    f::floor_lamp(b, first);
+    f::plant(b, second);
+    f::plant(b, third);
+    // Packing cases with labels.
+    let card = Pattern::Print {
+        paper: srgb(0xb08a5e),
+        ink: srgb(0x5a4228),
+        line: 0.05,
+    };
+    b.block(
+        fourth.at([0.0; 3], 0.2),
+        [-0.22, -0.2, 0.0],
+        [0.22, 0.2, 0.38],
+        card,
+    );
+    b.block(
+        fourth.at([0.0; 3], -0.3),
+        [-0.17, -0.15, 0.38],
+        [0.17, 0.15, 0.66],
+        card,
+    );
+}
+
+fn middle(b: &mut Builder, height: f64, kind: u64, wood: Rgb) {
+    let world = Place::new([0.0; 3], 0.0);
+    let at = world.at([0.0; 3], b.between(-0.25, 0.25));
+    let rug = b.choose([
+        [0x7a2430, 0xd9c08a, 0x2c3350],
+        [0x2f4a5f, 0xe0d6c0, 0xb0623c],
+        [0xb8a888, 0x5a4636, 0x8a3a2c],
+    ]);
+    b.block(
+        at,
+        [-1.2, -0.85, 0.0],
+        [1.2, 0.85, 0.012],
+        Pattern::Rug(rug.map(srgb)),
+    );
+    if kind == 2 {
+        f::table(b, at, [1.5, 0.9, 0.75], Pattern::Wood(wood));
+        for (x, yaw) in [(-0.4, 0.0), (0.4, 0.0), (-0.4, PI), (0.4, PI)] {
+            let y = if yaw == 0.0 { -0.62 } else { 0.62 };
+            let (slide, turn) = (b.between(-0.06, 0.06), b.between(-0.3, 0.3));
+            f::chair(b, at.at([x + slide, y, 0.0], yaw + turn), wood * 0.8);
+        }
+    } else {
+        let stone = Pattern::Marble {
+            ground: srgb(0xd8d4cc),
+            vein: srgb(0x6a6a70),
+        };
+        let top = b.choose([stone, Pattern::Wood(wood)]);
+        f::table(b, at, [1.1, 0.6, 0.45], top);
+    }
+    let top = if kind == 2 { 0.75 } else { 0.45 };
+    for x in [-0.35, 0.0, 0.33] {
+        let (y, yaw) = (b.between(-0.12, 0.12), b.between(-PI, PI));
+        f::ornament(b, at.at([x, y, top], yaw));
+    }
+    f::pendant(b, world, height);
+}

@@ -1,0 +1,298 @@
+//! Light on every face, worked out once per room: soft shadows of the lamps, one bounce between
+//! the surfaces and an estimate of all further ones.
+//!
+//! Each face carries a grid of irradiance, scaled so that a white surface in typical light has
+//! radiance 1. Repeatable: each cell draws from its own generator.
+
+use std::f64::consts::PI;
+
+use nalgebra::Vector3;
+use rand::{RngExt, SeedableRng};
+use rand_pcg::Pcg64Mcg;
+use rayon::prelude::*;
+
+use crate::pattern::Rgb;
+use crate::room::Room;
+use crate::shape::{Ray, Solid};
+
+/// Side of a grid cell, metres: shadows of furniture are about that soft.
+const CELL_M: f64 = 0.06;
+/// Shadow rays to each lamp.
+const LAMP_RAYS: usize = 10;
+/// Bounce rays are stratified in this many rows and columns.
+const BOUNCE_SIDE: usize = 6;
+/// Rays start this far off the surface, metres: well above rounding, well below any gap.
+const OFFSET_M: f64 = 1e-4;
+/// Lamps count as at least this far away, metres, so that none burns a hole into its own shade.
+const NEAREST_LAMP_M: f64 = 0.35;
+/// Light of the second and further bounces as a share of the first: with a mean albedo of 0.4 the
+/// geometric series has 0.4 / 0.6 left.
+const FURTHER_BOUNCES: f32 = 0.67;
+
+/// Typical irradiance: leaves room above for what a lamp or window lights.
+const MEDIAN: f32 = 0.42;
+
+/// A glowing box that shines alike in every direction.
+pub(crate) struct Lamp {
+    pub center: Vector3<f64>,
+    pub half: Vector3<f64>,
+    pub power: Rgb,
+}
+
+struct Grid {
+    cells: [usize; 2],
+    size: [f64; 2],
+    irradiance: Vec<Rgb>,
+}
+
+/// Irradiance on every face of a room, by solid, then face.
+pub(crate) struct LightMap {
+    faces: Vec<Vec<Grid>>,
+}
+
+impl LightMap {
+    /// No light at all.
+    pub fn dark(solids: &[Solid]) -> Self {
+        let faces = solids.iter().map(|solid| {
+            let sizes = (0..solid.face_count()).map(|face| solid.face_size(face));
+            sizes.map(Grid::dark).collect()
+        });
+        Self {
+            faces: faces.collect(),
+        }
+    }
+
+    /// The light of the room's lamps.
+    pub fn bake(room: &Room, seed: u64) -> Self {
+        let mut map = Self::dark(&room.solids);
+        let places = map.places(&room.solids);
+        let for_each_cell = |light: &(dyn Fn(&Place, &mut Pcg64Mcg) -> Option<Rgb> + Sync)| {
+            (places.par_iter().enumerate())
+                .map(|(cell, place)| {
+                    // Any odd number spreads the cells over the seeds.
+                    let mut rng = Pcg64Mcg::seed_from_u64(seed ^ (2 * cell as u64 + 1) << 20);
+                    light(place, &mut rng)
+                })
+                .collect::<Vec<_>>()
+        };
+        let direct = for_each_cell(&|place, rng| Some(lamp_light(room, place, rng)));
+        map.set(&direct);
+        let albedos: Vec<Rgb> = (0..room.solids.len())
+            .map(|solid| mean_albedo(room, solid))
+            .collect();
+        let bounced = for_each_cell(&|place, rng| map.bounce_light(room, &albedos, place, rng));
+        let sum = |(bounced, direct): (&Option<Rgb>, &Option<Rgb>)| {
+            Some(direct.as_ref()? + bounced.as_ref()? * (1.0 + FURTHER_BOUNCES))
+        };
+        let total: Vec<Option<Rgb>> = bounced.iter().zip(&direct).map(sum).collect();
+        map.set(&total);
+        let mut from = 0;
+        for grid in map.faces.iter_mut().flatten() {
+            let count = grid.irradiance.len();
+            grid.smooth(&total[from..from + count]);
+            from += count;
+        }
+        map.expose();
+        map
+    }
+
+    /// Irradiance at a place of a face, bilinear.
+    pub fn at(&self, solid: usize, face: usize, uv: [f64; 2]) -> Rgb {
+        self.faces[solid][face].at(uv)
+    }
+
+    fn places(&self, solids: &[Solid]) -> Vec<Place> {
+        let mut places = Vec::new();
+        for (solid, grids) in solids.iter().zip(&self.faces) {
+            for (face, grid) in grids.iter().enumerate() {
+                let [columns, rows] = grid.cells;
+                for i in 0..columns * rows {
+                    let middle = |k: usize, axis: usize| {
+                        (k as f64 + 0.5) * grid.size[axis] / grid.cells[axis] as f64
+                    };
+                    let uv = [middle(i % columns, 0), middle(i / columns, 1)];
+                    let (point, normal) = solid.place(face, uv);
+                    places.push(Place {
+                        point: point + OFFSET_M * normal,
+                        normal,
+                    });
+                }
+            }
+        }
+        places
+    }
+
+    fn set(&mut self, values: &[Option<Rgb>]) {
+        let cells = (self.faces.iter_mut().flatten()).flat_map(|grid| &mut grid.irradiance);
+        for (cell, value) in cells.zip(values) {
+            *cell = value.unwrap_or_default();
+        }
+    }
+
+    /// Light that arrives from other surfaces, or `None` inside a solid.
+    fn bounce_light(
+        &self,
+        room: &Room,
+        albedos: &[Rgb],
+        place: &Place,
+        rng: &mut Pcg64Mcg,
+    ) -> Option<Rgb> {
+        let tangent = place.normal.cross(&least_axis(&place.normal)).normalize();
+        let bitangent = place.normal.cross(&tangent);
+        let mut sum = Rgb::zeros();
+        let mut buried = 0;
+        for i in 0..BOUNCE_SIDE * BOUNCE_SIDE {
+            // Directions in proportion to the cosine: a disc, lifted to the hemisphere.
+            let stratum = |k: usize, random: f64| (k as f64 + random) / BOUNCE_SIDE as f64;
+            let radius2 = stratum(i % BOUNCE_SIDE, rng.random());
+            let (sin, cos) = (2.0 * PI * stratum(i / BOUNCE_SIDE, rng.random())).sin_cos();
+            let radius = radius2.sqrt();
+            let direction =
+                radius * (cos * tangent + sin * bitangent) + (1.0 - radius2).sqrt() * place.normal;
+            let ray = Ray {
+                origin: place.point,
+                direction,
+            };
+            let Some(hit) = room.meet(&ray, None) else {
+                continue;
+            };
+            let at = room.solids[hit.solid].locate(hit.face, &ray.at(hit.t));
+            if at.normal.dot(&direction) > 0.0 {
+                buried += 1;
+            } else {
+                sum += albedos[hit.solid].component_mul(&self.at(hit.solid, hit.face, at.uv));
+            }
+        }
+        let count = BOUNCE_SIDE * BOUNCE_SIDE;
+        (2 * buried < count).then(|| sum / (count - buried) as f32)
+    }
+
+    /// Scales the light so that its median over the cells is [`MEDIAN`].
+    fn expose(&mut self) {
+        let mut levels: Vec<f32> = (self.faces.iter().flatten())
+            .flat_map(|grid| grid.irradiance.iter().map(|e| e.sum() / 3.0))
+            .filter(|level| *level > 0.0)
+            .collect();
+        levels.sort_by(f32::total_cmp);
+        let Some(median) = levels.get(levels.len() / 2) else {
+            return;
+        };
+        let gain = MEDIAN / median;
+        for grid in self.faces.iter_mut().flatten() {
+            for value in &mut grid.irradiance {
+                *value *= gain;
+            }
+        }
+    }
+}
+
+/// A point just off a surface and the surface's normal.
+struct Place {
+    point: Vector3<f64>,
+    normal: Vector3<f64>,
+}
+
+fn lamp_light(room: &Room, place: &Place, rng: &mut Pcg64Mcg) -> Rgb {
+    let mut sum = Rgb::zeros();
+    for lamp in &room.lamps {
+        let mut arriving = 0.0;
+        for _ in 0..LAMP_RAYS {
+            let jitter = Vector3::from_fn(|_, _| rng.random_range(-1.0..1.0));
+            let direction = lamp.center + lamp.half.component_mul(&jitter) - place.point;
+            let distance2 = direction
+                .norm_squared()
+                .max(NEAREST_LAMP_M * NEAREST_LAMP_M);
+            let cosine = place.normal.dot(&direction) / distance2.sqrt();
+            let ray = Ray {
+                origin: place.point,
+                direction,
+            };
+            if cosine > 0.0 && !room.is_blocked(&ray) {
+                arriving += cosine / distance2;
+            }
+        }
+        sum += lamp.power * (arriving / LAMP_RAYS as f64) as f32;
+    }
+    sum
+}
+
+fn mean_albedo(room: &Room, solid: usize) -> Rgb {
+    let faces = room.solids[solid].face_count();
+    let mut sum = Rgb::zeros();
+    // 48 places, the same number on each face: enough for a mean colour.
+    let count = 48 / faces;
+    for face in 0..faces {
+        let size = room.solids[solid].face_size(face);
+        for i in 0..count {
+            // A lattice that covers the face evenly: steps of the golden ratio.
+            let uv = [
+                size[0] * (i as f64 + 0.5) / count as f64,
+                size[1] * (0.618_034 * i as f64).fract(),
+            ];
+            sum += room.finishes[solid].albedo(face, uv, size, 0.02);
+        }
+    }
+    sum / (faces * count) as f32
+}
+
+fn least_axis(direction: &Vector3<f64>) -> Vector3<f64> {
+    Vector3::ith(direction.abs().imin(), 1.0)
+}
+
+impl Grid {
+    fn dark(size: [f64; 2]) -> Self {
+        let cells = size.map(|side| ((side / CELL_M).ceil() as usize).max(2));
+        Self {
+            cells,
+            size,
+            irradiance: vec![Rgb::zeros(); cells[0] * cells[1]],
+        }
+    }
+
+    fn at(&self, uv: [f64; 2]) -> Rgb {
+        let position = |axis: usize| {
+            let last = (self.cells[axis] - 1) as f64;
+            let x = (uv[axis] / self.size[axis] * self.cells[axis] as f64 - 0.5).clamp(0.0, last);
+            let low = (x as usize).min(self.cells[axis] - 2);
+            (low, (x - low as f64) as f32)
+        };
+        let ((i, a), (j, b)) = (position(0), position(1));
+        let columns = self.cells[0];
+        let at = |i: usize, j: usize| &self.irradiance[j * columns + i];
+        let near = at(i, j) * (1.0 - a) + at(i + 1, j) * a;
+        let far = at(i, j + 1) * (1.0 - a) + at(i + 1, j + 1) * a;
+        near * (1.0 - b) + far * b
+    }
+
+    /// Each cell becomes the mean of the known values around it, which evens out the rays' noise
+    /// and lends a value to cells inside other solids (twice over; further in, nobody looks).
+    fn smooth(&mut self, values: &[Option<Rgb>]) {
+        let once = self.mean_of_neighbours(values);
+        let gaps_filled: Vec<Option<Rgb>> = (values.iter().zip(&once))
+            .map(|(value, mean)| value.or(*mean))
+            .collect();
+        let twice = self.mean_of_neighbours(&gaps_filled);
+        for (cell, mean) in self.irradiance.iter_mut().zip(&twice) {
+            *cell = mean.unwrap_or_default();
+        }
+    }
+
+    fn mean_of_neighbours(&self, values: &[Option<Rgb>]) -> Vec<Option<Rgb>> {
+        let [columns, rows] = self.cells;
+        let mean = |cell: usize| {
+            let (i, j) = (cell % columns, cell / columns);
+            let mut sum = Rgb::zeros();
+            let mut count = 0;
+            for j in j.saturating_sub(1)..(j + 2).min(rows) {
+                for i in i.saturating_sub(1)..(i + 2).min(columns) {
+                    if let Some(value) = values[j * columns + i] {
+                        sum += value;
+                        count += 1;
+                    }
+                }
+            }
+            (count > 0).then(|| sum / count as f32)
+        };
+        (0..columns * rows).map(mean).collect()
+    }
+}

@@ -1,0 +1,157 @@
+//! The way of a hand-held camera: once round the middle of the room and back to the start.
+//!
+//! Every motion is a sum of sines that repeat with the loop, so the path is smooth and closes
+//! exactly.
+
+use std::f64::consts::{PI, TAU};
+
+use fgs_geom::Se3;
+use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
+use rand::{RngExt, SeedableRng};
+use rand_pcg::Pcg64Mcg;
+
+/// Frames in one loop. At 30 frames a second it takes 10 s, a calm walking pace.
+pub const FRAMES_PER_LOOP: usize = 300;
+
+/// A coordinate's sway: sines of whole numbers of periods a loop.
+struct Sway(Vec<[f64; 3]>);
+
+impl Sway {
+    /// Slow harmonics of `amplitude` in all, and the tremor of a hand (2 to 5 Hz).
+    fn new(rng: &mut Pcg64Mcg, amplitude: f64, tremor: f64) -> Self {
+        let mut sine = |periods: u32, amplitude: f64| {
+            [f64::from(periods), amplitude, rng.random_range(0.0..TAU)]
+        };
+        let mut sines: Vec<_> = (2..=5)
+            .map(|periods| sine(periods, amplitude / f64::from(periods)))
+            .collect();
+        sines.extend([19, 27, 37, 48].map(|periods| sine(periods, 0.5 * tremor)));
+        Self(sines)
+    }
+
+    fn at(&self, phase: f64) -> f64 {
+        let sine = |&[periods, amplitude, start]: &[f64; 3]| {
+            amplitude * (TAU * periods * phase + start).sin()
+        };
+        self.0.iter().map(sine).sum()
+    }
+}
+
+/// A closed path round the middle of a room, looking across it.
+pub struct CameraPath {
+    start: f64,
+    direction: f64,
+    position: [Sway; 3],
+    yaw: Sway,
+    pitch: Sway,
+    roll: Sway,
+}
+
+impl CameraPath {
+    /// The path of a seed. It keeps within 1.5 m of the vertical through the origin and between
+    /// 1.2 m and 1.8 m above the floor.
+    pub fn new(seed: u64) -> Self {
+        let mut rng = Pcg64Mcg::seed_from_u64(seed ^ 0xca3e_4a00);
+        let degrees = PI / 180.0;
+        Self {
+            start: rng.random_range(0.0..TAU),
+            direction: if rng.random() { 1.0 } else { -1.0 },
+            position: [0.16, 0.16, 0.12].map(|amplitude| Sway::new(&mut rng, amplitude, 0.0012)),
+            yaw: Sway::new(&mut rng, 14.0 * degrees, 0.12 * degrees),
+            pitch: Sway::new(&mut rng, 12.0 * degrees, 0.1 * degrees),
+            roll: Sway::new(&mut rng, 4.0 * degrees, 0.08 * degrees),
+        }
+    }
+
+    /// The pose after a share of the loop: 0 and 1 are the same. World axes: z up.
+    pub fn world_from_camera(&self, phase: f64) -> Se3 {
+        // Radii with a circumference of 6.8 m, which leaves room for the furniture along walls.
+        const RADII: [f64; 2] = [1.2, 0.95];
+        const EYE_HEIGHT: f64 = 1.5;
+        /// Down, so that floor and furniture fill the view rather than the ceiling.
+        const PITCH: f64 = -0.30;
+        let angle = self.start + self.direction * TAU * phase;
+        let sway = Vector3::from_fn(|i, _| self.position[i].at(phase));
+        let position =
+            Vector3::new(RADII[0] * angle.cos(), RADII[1] * angle.sin(), EYE_HEIGHT) + sway;
+        // Across the room and somewhat ahead, so that near things pass by.
+        let yaw = angle + self.direction * 0.8 * PI + self.yaw.at(phase);
+        let pitch = PITCH + self.pitch.at(phase);
+        let (sin_yaw, cos_yaw) = yaw.sin_cos();
+        let (sin_pitch, cos_pitch) = pitch.sin_cos();
+        let forward = Vector3::new(cos_yaw * cos_pitch, sin_yaw * cos_pitch, sin_pitch);
+        let right = Vector3::new(sin_yaw, -cos_yaw, 0.0);
+        let down = forward.cross(&right);
+        let level =
+            Rotation3::from_matrix_unchecked(Matrix3::from_columns(&[right, down, forward]));
+        let roll = Rotation3::from_axis_angle(&Vector3::z_axis(), self.roll.at(phase));
+        Se3::new(
+            UnitQuaternion::from_rotation_matrix(&(level * roll)),
+            position,
+        )
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn pose(path: &CameraPath, frame: f64) -> Se3 {
+        path.world_from_camera(frame / FRAMES_PER_LOOP as f64)
+    }
+
+    #[test]
+    fn length_speed_and_turning_of_a_loop() {
+        for seed in 0..8 {
+            let path = CameraPath::new(seed);
+            let (mut metres, mut degrees) = (0.0, 0.0);
+            for i in 0..FRAMES_PER_LOOP - 1 {
+                let (a, b) = (pose(&path, i as f64), pose(&path, (i + 1) as f64));
+                metres += (b.translation - a.translation).norm();
+                degrees += a.rotation.angle_to(&b.rotation).to_degrees();
+            }
+            let steps = (FRAMES_PER_LOOP - 1) as f64;
+            println!(
+                "seed {seed}: {metres:.2} m, {:.2} cm and {:.2} degrees a frame",
+                100.0 * metres / steps,
+                degrees / steps
+            );
+            assert!((6.0..=7.5).contains(&metres), "{metres}");
+            assert!((0.015..=0.025).contains(&(metres / steps)));
+            assert!(
+                (0.7..=1.5).contains(&(degrees / steps)),
+                "{}",
+                degrees / steps
+            );
+        }
+    }
+
+    #[test]
+    fn the_loop_closes_and_is_smooth() {
+        let path = CameraPath::new(1);
+        let gap = pose(&path, 0.0).inverse() * pose(&path, 300.0);
+        assert!(gap.log().amax() <= 1e-9);
+        for i in 0..300 {
+            let [a, b, c] = [0.0, 1.0, 2.0].map(|k| pose(&path, i as f64 + k));
+            // Step to step: a hand's 2 m/s^2 and 200 degrees/s^2 at most.
+            let change = (a.inverse() * b).inverse() * (b.inverse() * c);
+            assert!(change.log().fixed_rows::<3>(3).norm() <= 2.0 / 900.0);
+            assert!(change.log().fixed_rows::<3>(0).norm().to_degrees() <= 250.0 / 900.0);
+        }
+    }
+
+    #[test]
+    fn the_camera_is_upright_within_bounds() {
+        for seed in 0..8 {
+            let path = CameraPath::new(seed);
+            for i in 0..300 {
+                let pose = pose(&path, f64::from(i));
+                let position = pose.translation;
+                assert!(position.xy().norm() <= 1.5);
+                assert!((1.2..=1.8).contains(&position.z));
+                let down = pose.rotation * Vector3::y();
+                assert!(down.z <= -0.7, "{down}");
+            }
+        }
+    }
+}

@@ -1,0 +1,130 @@
+//! A furnished room: solids with patterns, and the light that falls on them.
+//!
+//! Surfaces are matt: the radiance of a point is the same from everywhere.
+
+use nalgebra::Vector3;
+use rand::SeedableRng;
+use rand_pcg::Pcg64Mcg;
+
+use crate::builder::Builder;
+use crate::bvh::Bvh;
+use crate::layout;
+use crate::light::{Lamp, LightMap};
+use crate::pattern::{Pattern, Rgb, Spot};
+use crate::shape::{Ray, Solid};
+
+/// A solid's looks.
+pub(crate) struct Finish {
+    pub pattern: Pattern,
+    pub seed: u32,
+    /// Light given off, as a multiple of the albedo. Whatever glows casts no shadow.
+    pub glow: f32,
+}
+
+/// Where a ray first meets a solid.
+#[derive(Clone, Copy)]
+pub(crate) struct Hit {
+    /// Distance in units of the ray's direction.
+    pub t: f64,
+    /// Index of the solid.
+    pub solid: usize,
+    /// Its face.
+    pub face: usize,
+}
+
+/// A closed room with furniture, in metres: z up, the middle of the floor at the origin.
+pub struct Room {
+    size: Vector3<f64>,
+    pub(crate) solids: Vec<Solid>,
+    pub(crate) finishes: Vec<Finish>,
+    pub(crate) lamps: Vec<Lamp>,
+    bvh: Bvh,
+    light: LightMap,
+}
+
+impl Room {
+    /// The room of a seed. Seeds differ in size, furniture, materials and light; consecutive seeds
+    /// also in kind (living room, study, dining room). Takes about a second, spent on light.
+    pub fn new(seed: u64) -> Self {
+        let mut builder = Builder::new(Pcg64Mcg::seed_from_u64(seed));
+        let size = layout::furnish(&mut builder, seed % 3);
+        let Builder {
+            solids,
+            finishes,
+            lamps,
+            ..
+        } = builder;
+        let mut room = Self {
+            bvh: Bvh::new(&solids),
+            light: LightMap::dark(&solids),
+            size,
+            solids,
+            finishes,
+            lamps,
+        };
+        room.light = LightMap::bake(&room, seed);
+        room
+    }
+
+    /// Width (x), depth (y) and height (z), metres.
+    pub fn size(&self) -> Vector3<f64> {
+        self.size
+    }
+
+    /// What a ray meets first beyond `t` = 0. `likely` is a guess that saves time.
+    pub(crate) fn meet(&self, ray: &Ray, likely: Option<usize>) -> Option<Hit> {
+        let mut best = None;
+        let mut meet = |solid: usize, limit: &mut f64| {
+            if let Some((t, face)) = self.solids[solid].meet(ray, 0.0, *limit) {
+                *limit = t;
+                best = Some(Hit { t, solid, face });
+            }
+        };
+        let mut limit = f64::INFINITY;
+        if let Some(solid) = likely {
+            meet(solid, &mut limit);
+        }
+        self.bvh.visit(ray, &mut limit, meet);
+        best
+    }
+
+    /// Whether something that casts a shadow lies on a ray before t = 1.
+    pub(crate) fn is_blocked(&self, ray: &Ray) -> bool {
+        let mut limit = 1.0;
+        self.bvh.visit(ray, &mut limit, |solid, limit| {
+            let casts_shadow = self.finishes[solid].glow == 0.0;
+            if casts_shadow && self.solids[solid].meet(ray, 0.0, *limit).is_some() {
+                // Ends the search.
+                *limit = 0.0;
+            }
+        });
+        limit == 0.0
+    }
+
+    /// Linear radiance leaving a point that a ray has met, where `pixel_angle` (rad) is a pixel's
+    /// size seen from the ray's origin.
+    pub(crate) fn radiance(&self, ray: &Ray, hit: &Hit, pixel_angle: f64) -> Rgb {
+        let at = self.solids[hit.solid].locate(hit.face, &ray.at(hit.t));
+        let length = ray.direction.norm();
+        // The pixel is stretched one way by 1 / cosine: take the geometric mean, but not beyond
+        // tenfold.
+        let cosine = (at.normal.dot(&ray.direction).abs() / length).max(0.01);
+        let footprint = (hit.t * length * pixel_angle / cosine.sqrt()) as f32;
+        let finish = &self.finishes[hit.solid];
+        let albedo = finish.albedo(hit.face, at.uv, at.size, footprint);
+        let light = self.light.at(hit.solid, hit.face, at.uv);
+        albedo.component_mul(&light.add_scalar(finish.glow))
+    }
+}
+
+impl Finish {
+    pub fn albedo(&self, face: usize, uv: [f64; 2], size: [f64; 2], footprint: f32) -> Rgb {
+        self.pattern.albedo(&Spot {
+            u: uv[0] as f32,
+            v: uv[1] as f32,
+            size: size.map(|s| s as f32),
+            footprint,
+            seed: self.seed.wrapping_add(face as u32),
+        })
+    }
+}

@@ -1,0 +1,149 @@
+//! A recording: a room, a walk through it, a camera and a sensor.
+
+use std::sync::Arc;
+
+use fgs_geom::{Camera, CameraError, FrameIndex, Intrinsics, RgbdFrame, Se3, View};
+
+use crate::path::{CameraPath, FRAMES_PER_LOOP};
+use crate::render::{Picture, Sampling, render};
+use crate::room::Room;
+use crate::sensor::SensorModel;
+
+/// Frame rate of every recording.
+pub const FRAMES_PER_SECOND: f64 = 30.0;
+
+/// 640x480 with the nominal intrinsics of a Kinect.
+pub const KINECT: Camera = Camera {
+    width: 640,
+    height: 480,
+    intrinsics: Intrinsics {
+        fx: 525.0,
+        fy: 525.0,
+        cx: 319.5,
+        cy: 239.5,
+    },
+};
+
+/// A camera of another size with [`KINECT`]'s horizontal field of view.
+///
+/// # Errors
+/// If a side is 0 or above 65536 pixels, or the picture far taller than wide.
+pub fn kinect_camera(width: usize, height: usize) -> Result<Camera, CameraError> {
+    let focal = KINECT.intrinsics.fx * width as f64 / KINECT.width as f64;
+    let intrinsics = Intrinsics {
+        fx: focal,
+        fy: focal,
+        cx: 0.5 * (width as f64 - 1.0),
+        cy: 0.5 * (height as f64 - 1.0),
+    };
+    Camera::new(width, height, intrinsics)
+}
+
+/// A recording of any number of frames, each rendered when asked for.
+#[derive(Clone)]
+pub struct Sequence {
+    seed: u64,
+    len: usize,
+    room: Arc<Room>,
+    path: Arc<CameraPath>,
+    camera: Camera,
+    sensor: SensorModel,
+}
+
+impl Sequence {
+    /// `len` frames in the room of `seed`, at [`FRAMES_PER_SECOND`]. The walk is always the same:
+    /// [`FRAMES_PER_LOOP`] frames bring it back to its start, fewer cut it short, more repeat it.
+    pub fn new(seed: u64, len: usize, camera: Camera, sensor: SensorModel) -> Self {
+        Self {
+            seed,
+            len,
+            room: Arc::new(Room::new(seed)),
+            path: Arc::new(CameraPath::new(seed)),
+            camera,
+            sensor,
+        }
+    }
+
+    /// The same recording by another sensor; shares the room.
+    pub fn with_sensor(&self, sensor: SensorModel) -> Self {
+        Self {
+            sensor,
+            ..self.clone()
+        }
+    }
+
+    /// Number of frames.
+    pub fn len(&self) -> usize {
+        self.len
+    }
+
+    /// Whether there are no frames.
+    pub fn is_empty(&self) -> bool {
+        self.len == 0
+    }
+
+    /// The camera of every frame.
+    pub fn camera(&self) -> &Camera {
+        &self.camera
+    }
+
+    /// The room.
+    pub fn room(&self) -> &Room {
+        &self.room
+    }
+
+    /// The exact pose of frame `index`; beyond the last frame the walk goes on.
+    pub fn world_from_camera(&self, index: usize) -> Se3 {
+        self.pose_at(index as f64)
+    }
+
+    /// Frame `index`, rendered on all of rayon's threads. Beyond the last frame the walk goes on.
+    pub fn frame(&self, index: usize) -> RgbdFrame {
+        let Picture { radiance, depth_m } = self.exposed(index);
+        RgbdFrame {
+            index: FrameIndex(index),
+            timestamp_secs: index as f64 / FRAMES_PER_SECOND,
+            color: self.sensor.develop(&radiance, self.seed, index),
+            depth_m: (self.sensor).measure(&depth_m, &self.camera, self.seed, index),
+            camera: self.camera,
+        }
+    }
+
+    /// All frames in order.
+    pub fn frames(&self) -> impl ExactSizeIterator<Item = RgbdFrame> + '_ {
+        (0..self.len).map(|index| self.frame(index))
+    }
+
+    fn pose_at(&self, frame: f64) -> Se3 {
+        self.path.world_from_camera(frame / FRAMES_PER_LOOP as f64)
+    }
+
+    /// Exact depth at the middle of the exposure, and the mean radiance over it.
+    fn exposed(&self, index: usize) -> Picture {
+        /// Pictures averaged: at most a pixel apart at a normal pace. Odd, so that one is in the
+        /// middle.
+        const MOMENTS: usize = 5;
+        let picture_at = |frame: f64, sampling| {
+            let view = View {
+                camera: self.camera,
+                world_from_camera: self.pose_at(frame),
+            };
+            render(&self.room, &view, sampling)
+        };
+        if self.sensor.shutter == 0.0 {
+            return picture_at(index as f64, Sampling::Fine);
+        }
+        let mut middle = picture_at(index as f64, Sampling::Fast);
+        for moment in (0..MOMENTS).filter(|&moment| moment != MOMENTS / 2) {
+            let offset = (moment as f64 + 0.5) / MOMENTS as f64 - 0.5;
+            let other = picture_at(index as f64 + self.sensor.shutter * offset, Sampling::Fast);
+            let sums = middle.radiance.data_mut().iter_mut();
+            sums.zip(other.radiance.data())
+                .for_each(|(sum, r)| *sum += r);
+        }
+        for radiance in middle.radiance.data_mut() {
+            *radiance /= MOMENTS as f32;
+        }
+        middle
+    }
+}

@@ -1,0 +1,275 @@
+//! Recordings on disk, in the layouts of the TUM RGB-D and Replica data sets.
+//!
+//! A folder appears under its name only when it is complete.
+
+use std::fs;
+use std::io::{self, BufWriter, Write};
+use std::ops::ControlFlow;
+use std::path::{Path, PathBuf};
+
+use fgs_geom::{Image, RgbdFrame};
+use image::codecs::jpeg::JpegEncoder;
+use image::codecs::png::{CompressionType, FilterType, PngEncoder};
+use image::{ExtendedColorType, ImageEncoder};
+use thiserror::Error;
+
+use crate::Sequence;
+
+/// Depth units per metre of the TUM RGB-D data set.
+const TUM_DEPTH_SCALE: f64 = 5000.0;
+/// Depth units per metre of the Replica data set.
+const REPLICA_DEPTH_SCALE: f64 = 6553.5;
+/// Quality of Replica's colour images.
+const JPEG_QUALITY: u8 = 95;
+
+/// Why a recording was not written. Nothing is left behind.
+#[derive(Debug, Error)]
+pub enum SynthError {
+    /// Existing files are never touched.
+    #[error("{} exists already", path.display())]
+    Exists {
+        /// The folder to be written.
+        path: PathBuf,
+    },
+    /// The system refused (no room, no permission, ...).
+    #[error("cannot write {}: {source}", path.display())]
+    Io {
+        /// The file or folder.
+        path: PathBuf,
+        /// What the system said.
+        source: io::Error,
+    },
+    /// `progress` asked to stop.
+    #[error("stopped after {frames} frames")]
+    Stopped {
+        /// Frames that had been written.
+        frames: usize,
+    },
+}
+
+/// Writes `rgb/*.png`, `depth/*.png` (5000 units a metre), `rgb.txt`, `depth.txt`,
+/// `groundtruth.txt` and `camera.toml` to the new folder `dir`. After each frame `progress` is told
+/// how many are done and may stop the work.
+///
+/// # Errors
+/// See [`SynthError`].
+pub fn write_tum(
+    sequence: &Sequence,
+    dir: &Path,
+    progress: impl FnMut(usize) -> ControlFlow<()>,
+) -> Result<(), SynthError> {
+    let unfinished = Unfinished::new(dir, &["rgb", "depth"])?;
+    let mut rgb = String::from("# color images\n# timestamp filename\n");
+    let mut depth = String::from("# depth maps\n# timestamp filename\n");
+    let mut poses = String::from("# ground truth trajectory\n# timestamp tx ty tz qx qy qz qw\n");
+    for_each_frame(sequence, progress, |frame| {
+        let stamp = format!("{:.6}", frame.timestamp_secs);
+        let (color_name, depth_name) = (format!("rgb/{stamp}.png"), format!("depth/{stamp}.png"));
+        unfinished.write(&color_name, |file| encode_png_color(&frame.color, file))?;
+        unfinished.write(&depth_name, |file| {
+            encode_depth(&frame.depth_m, TUM_DEPTH_SCALE, file)
+        })?;
+        rgb += &format!("{stamp} {color_name}\n");
+        depth += &format!("{stamp} {depth_name}\n");
+        let pose = sequence.world_from_camera(frame.index.0);
+        let (t, q) = (pose.translation, pose.rotation.coords);
+        let numbers = [t.x, t.y, t.z, q.x, q.y, q.z, q.w].map(|x| format!("{x:.9}"));
+        poses += &format!("{stamp} {}\n", numbers.join(" "));
+        Ok(())
+    })?;
+    for (name, text) in [
+        ("rgb.txt", rgb),
+        ("depth.txt", depth),
+        ("groundtruth.txt", poses),
+    ] {
+        unfinished.write_text(name, &text)?;
+    }
+    unfinished.write_text("camera.toml", &camera_toml(sequence, TUM_DEPTH_SCALE))?;
+    unfinished.finish()
+}
+
+/// Writes `results/frameNNNNNN.jpg`, `results/depthNNNNNN.png` (6553.5 units a metre), `traj.txt`
+/// (camera to world, 16 numbers a line, row-major) and `camera.toml` to the new folder `dir`.
+/// After each frame `progress` is told how many are done and may stop the work.
+///
+/// # Errors
+/// See [`SynthError`].
+pub fn write_replica(
+    sequence: &Sequence,
+    dir: &Path,
+    progress: impl FnMut(usize) -> ControlFlow<()>,
+) -> Result<(), SynthError> {
+    let unfinished = Unfinished::new(dir, &["results"])?;
+    let mut poses = String::new();
+    for_each_frame(sequence, progress, |frame| {
+        let index = frame.index.0;
+        unfinished.write(&format!("results/frame{index:06}.jpg"), |file| {
+            encode_jpeg(&frame.color, file)
+        })?;
+        unfinished.write(&format!("results/depth{index:06}.png"), |file| {
+            encode_depth(&frame.depth_m, REPLICA_DEPTH_SCALE, file)
+        })?;
+        let rows = sequence.world_from_camera(index).matrix().transpose();
+        let numbers: Vec<String> = rows.iter().map(|x| format!("{x:.9e}")).collect();
+        poses += &format!("{}\n", numbers.join(" "));
+        Ok(())
+    })?;
+    unfinished.write_text("traj.txt", &poses)?;
+    unfinished.write_text("camera.toml", &camera_toml(sequence, REPLICA_DEPTH_SCALE))?;
+    unfinished.finish()
+}
+
+fn for_each_frame(
+    sequence: &Sequence,
+    mut progress: impl FnMut(usize) -> ControlFlow<()>,
+    mut write: impl FnMut(&RgbdFrame) -> Result<(), SynthError>,
+) -> Result<(), SynthError> {
+    for frame in sequence.frames() {
+        write(&frame)?;
+        let frames = frame.index.0 + 1;
+        if progress(frames).is_break() {
+            return Err(SynthError::Stopped { frames });
+        }
+    }
+    Ok(())
+}
+
+fn camera_toml(sequence: &Sequence, depth_scale: f64) -> String {
+    let camera = sequence.camera();
+    let k = camera.intrinsics;
+    format!(
+        "width = {}\nheight = {}\nfx = {:?}\nfy = {:?}\ncx = {:?}\ncy = {:?}\ndepth_scale = {:?}\n",
+        camera.width, camera.height, k.fx, k.fy, k.cx, k.cy, depth_scale
+    )
+}
+
+fn encode_png_color(color: &Image<[u8; 3]>, file: &mut dyn Write) -> image::ImageResult<()> {
+    encode_png(
+        color.data().as_flattened(),
+        [color.width(), color.height()],
+        ExtendedColorType::Rgb8,
+        file,
+    )
+}
+
+/// Depths beyond 65535 units become 0; a room is smaller.
+fn encode_depth(depth_m: &Image<f32>, scale: f64, file: &mut dyn Write) -> image::ImageResult<()> {
+    let units = |depth: &f32| {
+        let units = (f64::from(*depth) * scale).round();
+        if units <= 65535.0 { units as u16 } else { 0 }
+    };
+    // The encoder takes 16-bit values in the machine's byte order.
+    let bytes: Vec<u8> = (depth_m.data().iter())
+        .flat_map(|depth| units(depth).to_ne_bytes())
+        .collect();
+    let size = [depth_m.width(), depth_m.height()];
+    encode_png(&bytes, size, ExtendedColorType::L16, file)
+}
+
+fn encode_png(
+    bytes: &[u8],
+    [width, height]: [usize; 2],
+    color: ExtendedColorType,
+    file: &mut dyn Write,
+) -> image::ImageResult<()> {
+    PngEncoder::new_with_quality(file, CompressionType::Fast, FilterType::Adaptive).write_image(
+        bytes,
+        width as u32,
+        height as u32,
+        color,
+    )
+}
+
+fn encode_jpeg(color: &Image<[u8; 3]>, file: &mut dyn Write) -> image::ImageResult<()> {
+    JpegEncoder::new_with_quality(file, JPEG_QUALITY).write_image(
+        color.data().as_flattened(),
+        color.width() as u32,
+        color.height() as u32,
+        ExtendedColorType::Rgb8,
+    )
+}
+
+/// A folder being written beside its final place; removed unless finished.
+struct Unfinished {
+    target: PathBuf,
+    folder: PathBuf,
+    is_finished: bool,
+}
+
+impl Unfinished {
+    fn new(target: &Path, subfolders: &[&str]) -> Result<Self, SynthError> {
+        let exists = || SynthError::Exists {
+            path: target.to_owned(),
+        };
+        if fs::symlink_metadata(target).is_ok() {
+            return Err(exists());
+        }
+        // A path without a last part (such as `..`) names something that exists.
+        let name = target.file_name().ok_or_else(exists)?.to_string_lossy();
+        let folder = target.with_file_name(format!(".{name}.partial-{}", std::process::id()));
+        let make = |path: &Path| {
+            fs::create_dir(path).map_err(|source| SynthError::Io {
+                path: path.to_owned(),
+                source,
+            })
+        };
+        make(&folder)?;
+        let unfinished = Self {
+            target: target.to_owned(),
+            folder,
+            is_finished: false,
+        };
+        for subfolder in subfolders {
+            make(&unfinished.folder.join(subfolder))?;
+        }
+        Ok(unfinished)
+    }
+
+    fn write(
+        &self,
+        name: &str,
+        encode: impl FnOnce(&mut dyn Write) -> image::ImageResult<()>,
+    ) -> Result<(), SynthError> {
+        let path = self.folder.join(name);
+        let attempt = || -> image::ImageResult<()> {
+            let mut file = BufWriter::new(fs::File::create_new(&path)?);
+            encode(&mut file)?;
+            Ok(file.flush()?)
+        };
+        attempt().map_err(|error| SynthError::Io {
+            path: path.clone(),
+            source: match error {
+                image::ImageError::IoError(source) => source,
+                other => io::Error::other(other),
+            },
+        })
+    }
+
+    fn write_text(&self, name: &str, text: &str) -> Result<(), SynthError> {
+        self.write(name, |file| Ok(file.write_all(text.as_bytes())?))
+    }
+
+    fn finish(mut self) -> Result<(), SynthError> {
+        // Renaming would replace an empty folder made in the meantime.
+        if fs::symlink_metadata(&self.target).is_ok() {
+            return Err(SynthError::Exists {
+                path: self.target.clone(),
+            });
+        }
+        fs::rename(&self.folder, &self.target).map_err(|source| SynthError::Io {
+            path: self.target.clone(),
+            source,
+        })?;
+        self.is_finished = true;
+        Ok(())
+    }
+}
+
+impl Drop for Unfinished {
+    fn drop(&mut self) {
+        if !self.is_finished {
+            // If this fails too, there is nobody to tell; the folder's name says what it is.
+            let _ = fs::remove_dir_all(&self.folder);
+        }
+    }
+}
