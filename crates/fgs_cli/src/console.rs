@@ -59,10 +59,13 @@ impl Console {
         let bar = ProgressBar::new(steps as u64).with_prefix(what.to_owned());
         let template = "{prefix} {wide_bar} {pos}/{len}  {per_sec}  {msg}  {eta} left";
         if let Ok(style) = ProgressStyle::with_template(template) {
-            bar.set_style(style.with_key("per_sec", |state: &indicatif::ProgressState, w: &mut dyn std::fmt::Write| {
-                // A line of a progress bar that cannot be formatted is left empty.
-                let _ = write!(w, "{:.1}/s", state.per_sec());
-            }));
+            bar.set_style(style.with_key(
+                "per_sec",
+                |state: &indicatif::ProgressState, w: &mut dyn std::fmt::Write| {
+                    // A line of a progress bar that cannot be formatted is left empty.
+                    let _ = write!(w, "{:.1}/s", state.per_sec());
+                },
+            ));
         }
         bar.enable_steady_tick(Duration::from_millis(200));
         bar

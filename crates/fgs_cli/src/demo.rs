@@ -9,9 +9,9 @@ use fgs_synth::{SensorModel, Sequence, kinect_camera};
 use crate::console::Console;
 use crate::failure::EXIT_DONE;
 use crate::mode::Mode;
-use crate::pipeline::{COMMIT, Plan};
+use crate::pipeline::Plan;
 use crate::run_folder::RunFolder;
-use crate::settings::{RunSettings, Settings};
+use crate::settings::Settings;
 use crate::threads::Threads;
 use crate::{interrupt, synth};
 
@@ -56,18 +56,11 @@ pub fn run(args: &DemoArgs) -> anyhow::Result<u8> {
     let dataset = Dataset::open(&recording, &OpenOptions::default())?;
     let frames = 0..dataset.len();
     let mode = Mode::Lockstep;
-    let settings = Settings {
+    let mut settings = Settings {
         camera: Some(dataset.camera_file().clone()),
-        run: RunSettings {
-            command: Some(std::env::args().collect::<Vec<_>>().join(" ")),
-            dataset: Some(recording.clone()),
-            mode: Some(mode),
-            frames: Some(frames.clone().into()),
-            camera_overrides: None,
-            commit: Some(COMMIT.into()),
-        },
         ..Settings::default()
     };
+    settings.record_run(&recording, mode, &frames);
     let plan = Plan {
         dataset_path: recording,
         dataset,

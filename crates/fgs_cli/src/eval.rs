@@ -54,7 +54,10 @@ pub fn run(args: &EvalArgs) -> anyhow::Result<u8> {
     let mut settings = Settings::read(&folder.join(CONFIG))?;
     let recorded = settings.run.dataset.clone();
     let path = args.dataset.clone().or(recorded).ok_or_else(|| {
-        UsageError(format!("{} names no recording: add --dataset DIR", args.run.display()))
+        UsageError(format!(
+            "{} names no recording: add --dataset DIR",
+            args.run.display()
+        ))
     })?;
     settings.run.camera_overrides = Some(true);
     let dataset = recording::open(&path, None, &mut settings)
@@ -77,5 +80,8 @@ fn existing(path: &PathBuf) -> Result<PathBuf, UsageError> {
     if path.join(CONFIG).is_file() {
         return Ok(path.clone());
     }
-    Err(UsageError(format!("{} is not the folder of a run: it has no {CONFIG}", path.display())))
+    Err(UsageError(format!(
+        "{} is not the folder of a run: it has no {CONFIG}",
+        path.display()
+    )))
 }

@@ -64,7 +64,9 @@ pub fn score_images(
         return Ok(true);
     };
     let bar = console.progress(result.rows.len(), "evaluation");
-    let mut frames = dataset.frames(first.index..last.index + 1).zip(&result.rows);
+    let mut frames = dataset
+        .frames(first.index..last.index + 1)
+        .zip(&result.rows);
     let mut rows = Vec::with_capacity(result.rows.len());
     loop {
         if stop.load(Ordering::Relaxed) {
@@ -134,7 +136,9 @@ pub fn render(
 /// wherever depth is compared.
 fn depth_of_surface(rendered: &Rendered) -> Image<f32> {
     let (depth_m, alpha) = (&rendered.depth_m, &rendered.alpha);
-    Image::from_fn(depth_m.width(), depth_m.height(), |u, v| depth_m.at(u, v) / alpha.at(u, v))
+    Image::from_fn(depth_m.width(), depth_m.height(), |u, v| {
+        depth_m.at(u, v) / alpha.at(u, v)
+    })
 }
 
 fn fill_means(result: &mut RunResult) {

@@ -11,7 +11,9 @@ pub fn fly_through(poses: &[Se3], views: usize) -> Vec<Se3> {
     let sigma = (SMOOTHING_SHARE * poses.len() as f64).max(1.0);
     let last = poses.len().saturating_sub(1) as f64;
     let step = last / views.saturating_sub(1).max(1) as f64;
-    (0..views).filter_map(|i| mean_pose(poses, i as f64 * step, sigma)).collect()
+    (0..views)
+        .filter_map(|i| mean_pose(poses, i as f64 * step, sigma))
+        .collect()
 }
 
 /// The mean of the poses, weighted by a gaussian about a position in their list.
@@ -29,7 +31,11 @@ fn mean_pose(poses: &[Se3], center: f64, sigma: f64) -> Option<Se3> {
         translation += weight * pose.translation;
         // A quaternion and its negative are one rotation.
         let q = pose.rotation.coords;
-        quaternion += if q.dot(&quaternion) < 0.0 { -weight * q } else { weight * q };
+        quaternion += if q.dot(&quaternion) < 0.0 {
+            -weight * q
+        } else {
+            weight * q
+        };
     }
     let [x, y, z, w] = quaternion.into();
     Se3::from_wxyz([w, x, y, z], (translation / sum).into())
@@ -51,7 +57,10 @@ mod tests {
             .map(|i| {
                 let turn = 3.0 * PI * i as f64 / len as f64 + shake(i);
                 let rotation = UnitQuaternion::from_scaled_axis(turn * axis);
-                Se3::new(rotation, Vector3::new(0.01 * i as f64, 2.0 + shake(i), -1.0))
+                Se3::new(
+                    rotation,
+                    Vector3::new(0.01 * i as f64, 2.0 + shake(i), -1.0),
+                )
             })
             .collect()
     }

@@ -111,7 +111,9 @@ pub fn write(rows: &[FrameRow], writer: &mut dyn Write) -> anyhow::Result<()> {
 pub fn read(path: &Path) -> anyhow::Result<Vec<FrameRow>> {
     let context = || format!("cannot read {}", path.display());
     let mut csv = csv::Reader::from_path(path).with_context(context)?;
-    csv.deserialize().collect::<Result<_, _>>().with_context(context)
+    csv.deserialize()
+        .collect::<Result<_, _>>()
+        .with_context(context)
 }
 
 #[cfg(test)]

@@ -104,7 +104,9 @@ mod tests {
 
     #[test]
     fn nonsense_is_refused() {
-        for text in ["", "5", "7..3", "3..3", "100..", "0..101", "-1..5", "a..b", "1...5"] {
+        for text in [
+            "", "5", "7..3", "3..3", "100..", "0..101", "-1..5", "a..b", "1...5",
+        ] {
             assert!(resolve(text).is_err(), "{text}");
         }
     }

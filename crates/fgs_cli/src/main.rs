@@ -32,10 +32,14 @@ use clap::{Parser, Subcommand};
 
 /// RGB-D SLAM: from a recording of colour and depth to the camera's trajectory and a map of gaussians.
 #[derive(Parser)]
-#[command(version, about, after_help = "\
+#[command(
+    version,
+    about,
+    after_help = "\
 Start here:
   fgs demo                        no data needed; a few minutes
-  fgs run recordings/desk --eval  your own recording; `fgs run --help` says how it is laid out")]
+  fgs run recordings/desk --eval  your own recording; `fgs run --help` says how it is laid out"
+)]
 struct Cli {
     #[command(subcommand)]
     command: Command,

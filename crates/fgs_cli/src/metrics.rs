@@ -88,7 +88,9 @@ impl Metrics {
     /// # Errors
     /// If writing fails.
     pub fn write(&self, folder: &RunFolder) -> anyhow::Result<()> {
-        folder.write(METRICS, |file| Ok(serde_json::to_writer_pretty(file, self)?))
+        folder.write(METRICS, |file| {
+            Ok(serde_json::to_writer_pretty(file, self)?)
+        })
     }
 
     /// A small table for people.
@@ -107,12 +109,20 @@ impl Metrics {
             ),
         );
         if let (Some(rmse), Some(mean)) = (self.ate_rmse_m, self.ate_mean_m) {
-            line("ATE", format!("{:.2} cm rmse, {:.2} cm mean", 100.0 * rmse, 100.0 * mean));
+            line(
+                "ATE",
+                format!("{:.2} cm rmse, {:.2} cm mean", 100.0 * rmse, 100.0 * mean),
+            );
         }
         if let (Some(valid), Some(all)) = (self.psnr_valid_depth_db, self.psnr_db) {
             let heldout = self.psnr_heldout_db;
-            let heldout = heldout.map(|db| format!(", {db:.2} dB held out")).unwrap_or_default();
-            line("PSNR", format!("{valid:.2} dB where depth is measured, {all:.2} dB everywhere{heldout}"));
+            let heldout = heldout
+                .map(|db| format!(", {db:.2} dB held out"))
+                .unwrap_or_default();
+            line(
+                "PSNR",
+                format!("{valid:.2} dB where depth is measured, {all:.2} dB everywhere{heldout}"),
+            );
         }
         if let (Some(ssim), Some(depth)) = (self.ssim, self.depth_l1_m) {
             line("SSIM", format!("{ssim:.4}"));
@@ -122,11 +132,16 @@ impl Metrics {
             let iterations = self.iterations_per_frame.unwrap_or_default();
             line(
                 "speed",
-                format!("{fps:.2} frames/s at {iterations:.1} iterations a frame, tracking {tracking:.1} ms"),
+                format!(
+                    "{fps:.2} frames/s at {iterations:.1} iterations a frame, tracking {tracking:.1} ms"
+                ),
             );
         }
         let megabytes = self.map_bytes as f64 / 1e6;
-        line("map", format!("{} gaussians, {megabytes:.1} MB", self.num_gaussians));
+        line(
+            "map",
+            format!("{} gaussians, {megabytes:.1} MB", self.num_gaussians),
+        );
         lines.join("\n")
     }
 }

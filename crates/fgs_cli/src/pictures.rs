@@ -34,7 +34,9 @@ pub fn write_samples(
             let rendered =
                 evaluation::render(&mut rasterizer, &result.gaussians, &frame.camera, pose);
             let picture = side_by_side(&frame, &to_bytes(&rendered.color));
-            folder.write(&format!("{PICTURES}/{name}.png"), |file| write_png(&picture, file))?;
+            folder.write(&format!("{PICTURES}/{name}.png"), |file| {
+                write_png(&picture, file)
+            })?;
         }
     }
     Ok(())
@@ -42,7 +44,11 @@ pub fn write_samples(
 
 /// Rows with poses and names for their pictures.
 fn choose(result: &RunResult) -> Vec<(&FrameRow, String)> {
-    let tracked: Vec<_> = result.rows.iter().filter(|row| result.pose(row).is_some()).collect();
+    let tracked: Vec<_> = result
+        .rows
+        .iter()
+        .filter(|row| result.pose(row).is_some())
+        .collect();
     let count = SAMPLES.min(tracked.len());
     let mut chosen: Vec<_> = (0..count)
         .map(|i| {
@@ -66,7 +72,11 @@ pub fn to_bytes(color: &Image<[f32; 3]>) -> Image<[u8; 3]> {
 fn side_by_side(frame: &RgbdFrame, render: &Image<[u8; 3]>) -> Image<[u8; 3]> {
     let width = frame.color.width();
     Image::from_fn(2 * width, frame.color.height(), |u, v| {
-        if u < width { frame.color.at(u, v) } else { render.at(u - width, v) }
+        if u < width {
+            frame.color.at(u, v)
+        } else {
+            render.at(u - width, v)
+        }
     })
 }
 
@@ -75,7 +85,10 @@ fn side_by_side(frame: &RgbdFrame, render: &Image<[u8; 3]>) -> Image<[u8; 3]> {
 /// # Errors
 /// If writing fails.
 pub fn write_png(picture: &Image<[u8; 3]>, writer: impl Write) -> anyhow::Result<()> {
-    let (width, height) = (u32::try_from(picture.width())?, u32::try_from(picture.height())?);
+    let (width, height) = (
+        u32::try_from(picture.width())?,
+        u32::try_from(picture.height())?,
+    );
     let bytes = picture.data().as_flattened();
     Ok(PngEncoder::new(writer).write_image(bytes, width, height, ExtendedColorType::Rgb8)?)
 }

@@ -18,7 +18,7 @@ use crate::mode::Mode;
 use crate::progress::RunObserver;
 use crate::run_folder::RunFolder;
 use crate::run_result::RunResult;
-use crate::settings::Settings;
+use crate::settings::{COMMIT, Settings};
 use crate::{evaluation, memory, pictures};
 
 /// Everything that a run needs, resolved from what the user typed.
@@ -39,9 +39,6 @@ pub struct Plan {
     pub evaluate: bool,
 }
 
-/// The commit this program was built from.
-pub const COMMIT: &str = env!("FGS_COMMIT");
-
 impl Plan {
     /// Runs, saves, evaluates if asked to, and reports; returns the exit code. When `stop` is set
     /// the run ends early and is saved like any other.
@@ -61,7 +58,11 @@ impl Plan {
         console.say(result.metrics.table());
         console.say(format!("  results    {}", self.folder.path().display()));
         let interrupted = stop.load(Ordering::Relaxed);
-        Ok(if interrupted { EXIT_INTERRUPTED } else { EXIT_DONE })
+        Ok(if interrupted {
+            EXIT_INTERRUPTED
+        } else {
+            EXIT_DONE
+        })
     }
 
     fn announce(&self, console: Console) {

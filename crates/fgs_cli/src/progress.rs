@@ -71,9 +71,11 @@ impl Observer for RunObserver {
                 row
             }
             SlamEvent::Damaged { error } => {
-                self.damaged.warn(&self.bar, format!("frame {index} is skipped: {error}"));
+                self.damaged
+                    .warn(&self.bar, format!("frame {index} is skipped: {error}"));
                 let message = error.to_string();
-                self.console.event("damaged", json!({ "index": index, "message": message }));
+                self.console
+                    .event("damaged", json!({ "index": index, "message": message }));
                 FrameRow::without_result(index, FrameStatus::Damaged)
             }
             SlamEvent::Dropped => {

@@ -18,7 +18,8 @@ pub fn open(
     settings: &mut Settings,
 ) -> anyhow::Result<Dataset> {
     if let Some(path) = camera_file {
-        settings.camera = Some(CameraFile::read(path).map_err(|error| UsageError(error.to_string()))?);
+        settings.camera =
+            Some(CameraFile::read(path).map_err(|error| UsageError(error.to_string()))?);
         settings.run.camera_overrides = Some(true);
     }
     let with = |camera: Option<CameraFile>| {

@@ -68,20 +68,39 @@ pub struct RenderArgs {
 /// If map or trajectory cannot be read, or a picture cannot be written.
 pub fn run(args: &RenderArgs) -> anyhow::Result<u8> {
     let is_run = args.source.is_dir();
-    let map = if is_run { args.source.join(MAP) } else { args.source.clone() };
+    let map = if is_run {
+        args.source.join(MAP)
+    } else {
+        args.source.clone()
+    };
     let folder = map.parent().unwrap_or(Path::new("")).to_owned();
     let camera = camera(args, &folder)?;
-    let trajectory = args.trajectory.clone().unwrap_or_else(|| folder.join(TRAJECTORY));
+    let trajectory = args
+        .trajectory
+        .clone()
+        .unwrap_or_else(|| folder.join(TRAJECTORY));
     let trajectory = Trajectory::read(&trajectory)
         .context("cannot tell where to look from (--trajectory FILE gives poses)")?;
     let gaussians = fgs_splat::read_ply(&map)?;
-    let default_out = folder.join(if args.fly_through { "fly-through" } else { "views" });
+    let default_out = folder.join(if args.fly_through {
+        "fly-through"
+    } else {
+        "views"
+    });
     let out = RunFolder::create(args.out.as_ref().unwrap_or(&default_out))?;
     args.threads.apply()?;
 
-    let poses: Vec<Se3> = trajectory.poses().iter().map(|pose| pose.world_from_camera).collect();
+    let poses: Vec<Se3> = trajectory
+        .poses()
+        .iter()
+        .map(|pose| pose.world_from_camera)
+        .collect();
     let views = args.views as usize;
-    let path = if args.fly_through { fly_through(&poses, views) } else { spread(&poses, views) };
+    let path = if args.fly_through {
+        fly_through(&poses, views)
+    } else {
+        spread(&poses, views)
+    };
     let bar = Console::People.progress(path.len(), "views");
     let mut rasterizer = Rasterizer::default();
     for (i, pose) in path.iter().enumerate() {
@@ -99,13 +118,19 @@ pub fn run(args: &RenderArgs) -> anyhow::Result<u8> {
 fn spread(poses: &[Se3], count: usize) -> Vec<Se3> {
     let count = count.min(poses.len());
     let last = poses.len().saturating_sub(1);
-    (0..count).map(|i| poses[i * last / (count - 1).max(1)]).collect()
+    (0..count)
+        .map(|i| poses[i * last / (count - 1).max(1)])
+        .collect()
 }
 
 /// The run's camera, as far as the options do not say otherwise.
 fn camera(args: &RenderArgs, folder: &Path) -> anyhow::Result<Camera> {
     let config = folder.join(CONFIG);
-    let recorded = if config.is_file() { Settings::read(&config)?.camera } else { None };
+    let recorded = if config.is_file() {
+        Settings::read(&config)?.camera
+    } else {
+        None
+    };
     let recorded = recorded.map(|file| *file.camera());
     let usage = |error: CameraError| UsageError(format!("--size or --fov: {error}"));
     let of_recorded = recorded.map(|camera| ImageSize {
@@ -185,10 +210,18 @@ mod tests {
     #[test]
     fn views_are_spread_from_first_to_last() {
         let poses: Vec<Se3> = (0..10)
-            .map(|i| Se3::new(Default::default(), nalgebra::Vector3::new(f64::from(i), 0.0, 0.0)))
+            .map(|i| {
+                Se3::new(
+                    Default::default(),
+                    nalgebra::Vector3::new(f64::from(i), 0.0, 0.0),
+                )
+            })
             .collect();
         let xs = |count| -> Vec<f64> {
-            spread(&poses, count).iter().map(|pose| pose.translation.x).collect()
+            spread(&poses, count)
+                .iter()
+                .map(|pose| pose.translation.x)
+                .collect()
         };
         assert_eq!(xs(4), [0.0, 3.0, 6.0, 9.0]);
         assert_eq!(xs(1), [0.0]);

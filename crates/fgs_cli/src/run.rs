@@ -8,10 +8,10 @@ use crate::console::Console;
 use crate::frame_range::FrameRange;
 use crate::interrupt;
 use crate::mode::Mode;
-use crate::pipeline::{COMMIT, Plan};
+use crate::pipeline::Plan;
 use crate::recording;
 use crate::run_folder::RunFolder;
-use crate::settings::{RunSettings, Settings};
+use crate::settings::Settings;
 use crate::threads::Threads;
 
 /// Where runs without `--out` go.
@@ -99,14 +99,7 @@ fn resolve(args: &RunArgs) -> anyhow::Result<Plan> {
     let frames = frames.resolve(dataset.len())?;
     recording::check_size(&dataset, frames.start)?;
     let mode = args.mode.or(settings.run.mode).unwrap_or(Mode::Lockstep);
-    settings.run = RunSettings {
-        command: Some(std::env::args().collect::<Vec<_>>().join(" ")),
-        dataset: Some(args.dataset.clone()),
-        mode: Some(mode),
-        frames: Some(frames.clone().into()),
-        camera_overrides: settings.run.camera_overrides,
-        commit: Some(COMMIT.into()),
-    };
+    settings.record_run(&args.dataset, mode, &frames);
     let folder = match &args.out {
         Some(path) => RunFolder::create(path)?,
         None => RunFolder::create_new(Path::new(RUNS), &name_of(&args.dataset))?,
@@ -124,7 +117,11 @@ fn resolve(args: &RunArgs) -> anyhow::Result<Plan> {
 
 /// The folder's own name, also for paths such as `.`.
 fn name_of(dataset: &Path) -> String {
-    let path = dataset.canonicalize().unwrap_or_else(|_| dataset.to_owned());
-    let name = path.file_name().map(|name| name.to_string_lossy().into_owned());
+    let path = dataset
+        .canonicalize()
+        .unwrap_or_else(|_| dataset.to_owned());
+    let name = path
+        .file_name()
+        .map(|name| name.to_string_lossy().into_owned());
     name.unwrap_or_else(|| "run".into())
 }

@@ -61,11 +61,6 @@ impl RunFolder {
         anyhow::bail!("no free name for an output folder in {}", parent.display())
     }
 
-    /// The folder of an earlier run.
-    pub fn existing(path: &Path) -> Self {
-        Self { path: path.into() }
-    }
-
     /// Where it is.
     pub fn path(&self) -> &Path {
         &self.path
@@ -137,8 +132,9 @@ mod tests {
 
     fn names(path: &Path) -> Vec<String> {
         let entries = fs::read_dir(path).unwrap();
-        let mut names: Vec<_> =
-            entries.map(|e| e.unwrap().file_name().into_string().unwrap()).collect();
+        let mut names: Vec<_> = entries
+            .map(|e| e.unwrap().file_name().into_string().unwrap())
+            .collect();
         names.sort();
         names
     }
@@ -148,7 +144,9 @@ mod tests {
         let parent = tempfile::tempdir().unwrap();
         let folder = RunFolder::create(&parent.path().join("a/b")).unwrap();
         assert!(names(folder.path()).is_empty());
-        folder.write("x", |file| Ok(file.write_all(b"old")?)).unwrap();
+        folder
+            .write("x", |file| Ok(file.write_all(b"old")?))
+            .unwrap();
         let failed = folder.write("x", |file| {
             file.write_all(b"new")?;
             anyhow::bail!("disk full")

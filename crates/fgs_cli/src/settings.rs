@@ -5,6 +5,7 @@
 //! brought them.
 
 use std::fs;
+use std::ops::Range;
 use std::path::{Path, PathBuf};
 
 use anyhow::Context;
@@ -20,16 +21,24 @@ use crate::failure::UsageError;
 use crate::frame_range::FrameRange;
 use crate::mode::Mode;
 
+/// The commit this program was built from.
+pub const COMMIT: &str = env!("FGS_COMMIT");
+
 /// A configuration file: every group of [`SlamConfig`], the camera, and what a run records of
 /// itself so that its effective configuration reruns it.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Settings {
-    seed: u64,
-    tracking: TrackingConfig,
-    keyframes: KeyframeConfig,
-    seeding: SeedingConfig,
-    mapping: MappingConfig,
+    /// Seed of the random choice of views.
+    pub seed: u64,
+    /// See [`SlamConfig`].
+    pub tracking: TrackingConfig,
+    /// See [`SlamConfig`].
+    pub keyframes: KeyframeConfig,
+    /// See [`SlamConfig`].
+    pub seeding: SeedingConfig,
+    /// See [`SlamConfig`].
+    pub mapping: MappingConfig,
     /// The recording's camera, where it does not bring its own.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub camera: Option<CameraFile>,
@@ -110,11 +119,16 @@ impl Settings {
         let text = fs::read_to_string(path)
             .map_err(|error| UsageError(format!("cannot read {}: {error}", path.display())))?;
         let refusal = |at: Option<usize>, message: &str| {
-            let line = at.map(|at| format!(":{}", line_at(&text, at))).unwrap_or_default();
+            let line = at
+                .map(|at| format!(":{}", line_at(&text, at)))
+                .unwrap_or_default();
             UsageError(format!("{}{line}: {message}", path.display()))
         };
         let settings: Self = toml::from_str(&text).map_err(|error| {
-            refusal(error.span().map(|span| span.start), &one_line(error.message()))
+            refusal(
+                error.span().map(|span| span.start),
+                &one_line(error.message()),
+            )
         })?;
         settings
             .slam()
@@ -134,6 +148,18 @@ impl Settings {
         }
     }
 
+    /// Notes how a run is started, so that these settings rerun it.
+    pub fn record_run(&mut self, dataset: &Path, mode: Mode, frames: &Range<usize>) {
+        self.run = RunSettings {
+            command: Some(std::env::args().collect::<Vec<_>>().join(" ")),
+            dataset: Some(dataset.into()),
+            mode: Some(mode),
+            frames: Some(frames.clone().into()),
+            camera_overrides: self.run.camera_overrides,
+            commit: Some(COMMIT.into()),
+        };
+    }
+
     /// As TOML that [`Settings::read`] reads back.
     ///
     /// # Errors
@@ -145,14 +171,27 @@ impl Settings {
     fn assign(&self, assignment: &str) -> Result<Self, String> {
         let (key, value) = assignment.split_once('=').ok_or("expected key=value")?;
         let parse = |value: &str| toml::from_str::<Table>(&format!("{key} = {value}"));
-        let is_word = value.chars().all(|c| c.is_ascii_alphanumeric() || "_-".contains(c));
+        let is_word = value
+            .chars()
+            .all(|c| c.is_ascii_alphanumeric() || "_-".contains(c));
         let change = parse(value)
-            .or_else(|error| if is_word { parse(&format!("'{value}'")) } else { Err(error) })
+            .or_else(|error| {
+                if is_word {
+                    parse(&format!("'{value}'"))
+                } else {
+                    Err(error)
+                }
+            })
             .map_err(|error| one_line(error.message()))?;
         let mut table = Table::try_from(self).map_err(|error| error.to_string())?;
         overlay(&mut table, change);
-        let settings: Self = table.try_into().map_err(|error| one_line(&error.to_string()))?;
-        settings.slam().validate().map_err(|error: ConfigError| error.to_string())?;
+        let settings: Self = table
+            .try_into()
+            .map_err(|error| one_line(&error.to_string()))?;
+        settings
+            .slam()
+            .validate()
+            .map_err(|error: ConfigError| error.to_string())?;
         Ok(settings)
     }
 }
@@ -228,11 +267,23 @@ mod tests {
     #[test]
     fn refusals_name_line_and_key() {
         for (text, expected) in [
-            ("[mapping]\n\nprune_evry = 5", ":3: unknown field `prune_evry`"),
+            (
+                "[mapping]\n\nprune_evry = 5",
+                ":3: unknown field `prune_evry`",
+            ),
             ("[maping]\nprune_every = 5", ":1: unknown field `maping`"),
-            ("seed = 1\n[mapping]\nprune_every = 0", ":3: mapping.prune_every = 0 is not"),
-            ("mapping.learning_rates.sh = nan", ":1: mapping.learning_rates.sh = NaN"),
-            ("[mapping]\nprune_every = 'often'", ":2: invalid type: string"),
+            (
+                "seed = 1\n[mapping]\nprune_every = 0",
+                ":3: mapping.prune_every = 0 is not",
+            ),
+            (
+                "mapping.learning_rates.sh = nan",
+                ":1: mapping.learning_rates.sh = NaN",
+            ),
+            (
+                "[mapping]\nprune_every = 'often'",
+                ":2: invalid type: string",
+            ),
             ("seed = \n", ":1: "),
             ("[camera]\nwidth = 640", ":1: missing field"),
             ("[run]\nmode = 'fast'", ":2: unknown variant `fast`"),
@@ -259,7 +310,10 @@ mod tests {
         assert_eq!(slam.tracking.target, fgs_slam::TargetCovariance::Neighbors);
         assert!(!slam.seeding.clahe);
         assert_eq!(slam.seeding.min_alpha, 1.0);
-        assert_eq!(slam.mapping.prune_opacity, SlamConfig::default().mapping.prune_opacity);
+        assert_eq!(
+            slam.mapping.prune_opacity,
+            SlamConfig::default().mapping.prune_opacity
+        );
     }
 
     #[test]
@@ -268,13 +322,22 @@ mod tests {
             ("mapping.prune_every", "expected key=value"),
             ("mapping.prune_evry=3", "unknown field `prune_evry`"),
             ("mapping=3", "invalid type"),
-            ("mapping.prune_every=0", "mapping.prune_every = 0 is not possible"),
-            ("mapping.prune_every=often", "invalid type: string \"often\""),
+            (
+                "mapping.prune_every=0",
+                "mapping.prune_every = 0 is not possible",
+            ),
+            (
+                "mapping.prune_every=often",
+                "invalid type: string \"often\"",
+            ),
             ("mapping.prune_every=]", "--set mapping.prune_every=]"),
             ("camera.fx=500", "missing field"),
         ] {
             let message = assign(&[assignment]).unwrap_err();
-            assert!(message.starts_with(&format!("--set {assignment}: ")), "{message}");
+            assert!(
+                message.starts_with(&format!("--set {assignment}: ")),
+                "{message}"
+            );
             assert!(message.contains(expected), "{message}");
             assert_eq!(message.lines().count(), 1, "{message}");
         }

@@ -74,7 +74,13 @@ pub fn run(args: &SynthArgs) -> anyhow::Result<u8> {
     };
     let sequence = Sequence::new(args.seed, args.frames as usize, camera, sensor);
     let stop = interrupt::stop_flag()?;
-    write(&sequence, args.layout == Layout::Replica, &args.out, Console::People, &stop)
+    write(
+        &sequence,
+        args.layout == Layout::Replica,
+        &args.out,
+        Console::People,
+        &stop,
+    )
 }
 
 /// Writes a sequence with a progress bar, in Replica's layout or TUM's; returns the exit code.
@@ -95,7 +101,11 @@ pub fn write(
     let bar = console.progress(sequence.len(), "synthesis");
     let progress = |frames: usize| {
         bar.set_position(frames as u64);
-        if stop.load(Ordering::Relaxed) { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
+        if stop.load(Ordering::Relaxed) {
+            ControlFlow::Break(())
+        } else {
+            ControlFlow::Continue(())
+        }
     };
     let written = if as_replica {
         fgs_synth::write_replica(sequence, out, progress)

@@ -13,9 +13,16 @@ fn refuse(folder: &Path, arguments: &[&str], exit_code: i32, parts: &[&str]) {
     let output = run(folder, arguments, exit_code);
     let message = stderr(&output);
     assert!(message.starts_with("error: "), "{arguments:?}: {message}");
-    assert_eq!(message.trim_end().lines().count(), 1, "{arguments:?}: {message}");
+    assert_eq!(
+        message.trim_end().lines().count(),
+        1,
+        "{arguments:?}: {message}"
+    );
     for part in parts {
-        assert!(message.contains(part), "{arguments:?}: '{part}' is not in {message}");
+        assert!(
+            message.contains(part),
+            "{arguments:?}: '{part}' is not in {message}"
+        );
     }
     assert_eq!(stdout(&output), "", "{arguments:?}");
     assert_eq!(names(&folder.join("runs")), [""; 0], "{arguments:?}");
@@ -45,13 +52,43 @@ fn bad_settings() {
     ] {
         refuse(path, &["run", "room", "--config", file], 2, &parts);
     }
-    refuse(path, &["run", "room", "--camera", "camera.toml"], 2, &["camera.toml", "missing field `fy`"]);
-    refuse(path, &["run", "room", "--camera", "absent.toml"], 2, &["absent.toml"]);
-    refuse(path, &["run", "room", "--camera", "big.toml"], 2, &["160x120", "640x480"]);
-    for set in ["mapping.prune_evry=5", "mapping.prune_every=0", "seed=x", "seed"] {
-        refuse(path, &["run", "room", "--set", set], 2, &[&format!("--set {set}: ")]);
+    refuse(
+        path,
+        &["run", "room", "--camera", "camera.toml"],
+        2,
+        &["camera.toml", "missing field `fy`"],
+    );
+    refuse(
+        path,
+        &["run", "room", "--camera", "absent.toml"],
+        2,
+        &["absent.toml"],
+    );
+    refuse(
+        path,
+        &["run", "room", "--camera", "big.toml"],
+        2,
+        &["160x120", "640x480"],
+    );
+    for set in [
+        "mapping.prune_evry=5",
+        "mapping.prune_every=0",
+        "seed=x",
+        "seed",
+    ] {
+        refuse(
+            path,
+            &["run", "room", "--set", set],
+            2,
+            &[&format!("--set {set}: ")],
+        );
     }
-    refuse(path, &["run", "room", "--frames", "5..99"], 2, &["5..99", "12"]);
+    refuse(
+        path,
+        &["run", "room", "--frames", "5..99"],
+        2,
+        &["5..99", "12"],
+    );
     refuse(path, &["run", "room", "--frames", "5..5"], 2, &["5..5"]);
 }
 
@@ -68,9 +105,17 @@ fn command_lines_that_make_no_sense() {
         &["synth", "room", "--frames", "0"],
     ] {
         let message = stderr(&run(folder.path(), arguments, 2));
-        assert!(message.starts_with("error: ") || message.contains("Usage"), "{message}");
+        assert!(
+            message.starts_with("error: ") || message.contains("Usage"),
+            "{message}"
+        );
     }
-    refuse(folder.path(), &["synth", "room", "--size", "0x5"], 2, &["--size", "width = 0"]);
+    refuse(
+        folder.path(),
+        &["synth", "room", "--size", "0x5"],
+        2,
+        &["--size", "width = 0"],
+    );
     refuse(folder.path(), &["eval", "."], 2, &["config.effective.toml"]);
 }
 
@@ -91,7 +136,10 @@ fn bad_recordings() {
 
     fs::remove_file(path.join("room/camera.toml")).unwrap();
     let message = stderr(&run(path, &["run", "room"], 2));
-    assert!(message.starts_with("error: ") && message.contains("camera.toml"), "{message}");
+    assert!(
+        message.starts_with("error: ") && message.contains("camera.toml"),
+        "{message}"
+    );
 }
 
 #[test]
@@ -103,7 +151,10 @@ fn nothing_can_be_read() {
         fs::write(color, "no picture").unwrap();
     }
     let message = stderr(&run(path, &["run", "room", "--out", "out"], 1));
-    assert!(message.contains("error: none of the 12 frames could be read"), "{message}");
+    assert!(
+        message.contains("error: none of the 12 frames could be read"),
+        "{message}"
+    );
     assert_eq!(names(&path.join("out")), [""; 0]);
 }
 
@@ -112,9 +163,24 @@ fn output_that_cannot_be_written() {
     let folder = folder_with_recording();
     let path = folder.path();
     fs::write(path.join("file"), "in the way").unwrap();
-    refuse(path, &["run", "room", "--out", "file/out"], 1, &["output folder file/out"]);
-    refuse(path, &["run", "room", "--out", "file"], 1, &["output folder file"]);
+    refuse(
+        path,
+        &["run", "room", "--out", "file/out"],
+        1,
+        &["output folder file/out"],
+    );
+    refuse(
+        path,
+        &["run", "room", "--out", "file"],
+        1,
+        &["output folder file"],
+    );
     refuse(path, &["render", "file"], 1, &["trajectory.txt"]);
     fs::copy(path.join("room/groundtruth.txt"), path.join("poses.txt")).unwrap();
-    refuse(path, &["render", "file", "--trajectory", "poses.txt"], 1, &["file"]);
+    refuse(
+        path,
+        &["render", "file", "--trajectory", "poses.txt"],
+        1,
+        &["file"],
+    );
 }

@@ -5,7 +5,9 @@ mod common;
 use std::fs;
 use std::path::Path;
 
-use common::{FRAMES, fgs, folder_with_recording, frame_files, metrics, names, rows, run, stderr, stdout};
+use common::{
+    FRAMES, fgs, folder_with_recording, frame_files, metrics, names, rows, run, stderr, stdout,
+};
 use serde_json::Value;
 
 const FILES: [&str; 6] = [
@@ -46,7 +48,10 @@ const IMAGE_SCORES: [&str; 6] = [
 
 fn assert_same_bytes(a: &Path, b: &Path) {
     for file in ["trajectory.txt", "map.ply"] {
-        assert!(fs::read(a.join(file)).unwrap() == fs::read(b.join(file)).unwrap(), "{file}");
+        assert!(
+            fs::read(a.join(file)).unwrap() == fs::read(b.join(file)).unwrap(),
+            "{file}"
+        );
     }
 }
 
@@ -57,7 +62,10 @@ fn assert_strict_trajectory(run: &Path, poses: usize) {
     let mut last = f64::NEG_INFINITY;
     let mut count = 0;
     for line in lines {
-        let columns: Vec<f64> = line.split(' ').map(|column| column.parse().unwrap()).collect();
+        let columns: Vec<f64> = line
+            .split(' ')
+            .map(|column| column.parse().unwrap())
+            .collect();
         assert_eq!(columns.len(), 8, "{line}");
         assert!(columns.iter().all(|x| x.is_finite()), "{line}");
         assert!(columns[0] > last, "{line}");
@@ -73,8 +81,24 @@ fn assert_strict_trajectory(run: &Path, poses: usize) {
 fn runs_repeat_and_can_be_scored_and_rendered() {
     let folder = folder_with_recording();
     let path = folder.path();
-    run(path, &["run", "room", "--mode", "lockstep", "--threads", "1", "--eval"], 0);
-    run(path, &["run", "room", "--mode", "lockstep", "--threads", "2"], 0);
+    run(
+        path,
+        &[
+            "run",
+            "room",
+            "--mode",
+            "lockstep",
+            "--threads",
+            "1",
+            "--eval",
+        ],
+        0,
+    );
+    run(
+        path,
+        &["run", "room", "--mode", "lockstep", "--threads", "2"],
+        0,
+    );
     let (first, second) = (path.join("runs/room"), path.join("runs/room-2"));
     assert_same_bytes(&first, &second);
 
@@ -105,7 +129,11 @@ fn runs_repeat_and_can_be_scored_and_rendered() {
         assert!(scored[key].is_number(), "{key}: {scored}");
         assert_eq!(unscored[key], Value::Null, "{key}");
     }
-    assert!(names(&first.join("pictures")).iter().any(|name| name.starts_with("worst-frame")));
+    assert!(
+        names(&first.join("pictures"))
+            .iter()
+            .any(|name| name.starts_with("worst-frame"))
+    );
 
     run(path, &["eval", "runs/room-2"], 0);
     let evaluated = metrics(&second);
@@ -113,7 +141,18 @@ fn runs_repeat_and_can_be_scored_and_rendered() {
         assert_eq!(evaluated[key], scored[key], "{key}");
     }
 
-    run(path, &["run", "room", "--config", "runs/room/config.effective.toml", "--out", "again"], 0);
+    run(
+        path,
+        &[
+            "run",
+            "room",
+            "--config",
+            "runs/room/config.effective.toml",
+            "--out",
+            "again",
+        ],
+        0,
+    );
     assert_same_bytes(&first, &path.join("again"));
     let config = |run: &str| {
         let text = fs::read_to_string(path.join(run).join("config.effective.toml")).unwrap();
@@ -124,15 +163,30 @@ fn runs_repeat_and_can_be_scored_and_rendered() {
 
     run(path, &["render", "runs/room", "--views", "3"], 0);
     let size = ["--size", "80x40", "--fov", "70"];
-    let fly = ["render", "runs/room/map.ply", "--fly-through", "--views", "4", "--out", "film"];
+    let fly = [
+        "render",
+        "runs/room/map.ply",
+        "--fly-through",
+        "--views",
+        "4",
+        "--out",
+        "film",
+    ];
     run(path, &[fly.as_slice(), &size].concat(), 0);
-    assert_eq!(names(&first.join("views")), ["000000.png", "000001.png", "000002.png"]);
+    assert_eq!(
+        names(&first.join("views")),
+        ["000000.png", "000001.png", "000002.png"]
+    );
     assert_eq!(names(&path.join("film")).len(), 4);
     let picture = image::open(path.join("film/000000.png")).unwrap();
     assert_eq!((picture.width(), picture.height()), (80, 40));
     // The first view shows the first frame.
-    let view = image::open(first.join("views/000000.png")).unwrap().into_rgb8();
-    let frame = image::open(&frame_files(&path.join("room"), 0)[0]).unwrap().into_rgb8();
+    let view = image::open(first.join("views/000000.png"))
+        .unwrap()
+        .into_rgb8();
+    let frame = image::open(&frame_files(&path.join("room"), 0)[0])
+        .unwrap()
+        .into_rgb8();
     let pairs = view.as_raw().iter().zip(frame.as_raw());
     let error: f64 = pairs.map(|(a, b)| f64::from(a.abs_diff(*b))).sum();
     assert!(error / view.as_raw().len() as f64 <= 25.0, "{error}");
@@ -142,9 +196,20 @@ fn runs_repeat_and_can_be_scored_and_rendered() {
 fn settings_and_frames_of_the_command_line_hold() {
     let folder = folder_with_recording();
     let path = folder.path();
-    fs::write(path.join("c.toml"), "seed = 5\n[mapping]\nprune_every = 3\n").unwrap();
-    let sets = ["--set", "seed=9", "--set", "mapping.iterations_per_frame=0.5"];
-    let arguments = ["run", "room", "--config", "c.toml", "--out", "out", "--frames", "2..8"];
+    fs::write(
+        path.join("c.toml"),
+        "seed = 5\n[mapping]\nprune_every = 3\n",
+    )
+    .unwrap();
+    let sets = [
+        "--set",
+        "seed=9",
+        "--set",
+        "mapping.iterations_per_frame=0.5",
+    ];
+    let arguments = [
+        "run", "room", "--config", "c.toml", "--out", "out", "--frames", "2..8",
+    ];
     run(path, &[arguments.as_slice(), &sets].concat(), 0);
     let metrics = metrics(&path.join("out"));
     assert_eq!(metrics["seed"], 9);
@@ -152,7 +217,12 @@ fn settings_and_frames_of_the_command_line_hold() {
     assert_eq!(metrics["iterations"], 3);
     assert_eq!(rows(&path.join("out"))[0]["index"], "2");
     let config = fs::read_to_string(path.join("out/config.effective.toml")).unwrap();
-    for line in ["seed = 9", "prune_every = 3", "iterations_per_frame = 0.5", "frames = \"2..8\""] {
+    for line in [
+        "seed = 9",
+        "prune_every = 3",
+        "iterations_per_frame = 0.5",
+        "frames = \"2..8\"",
+    ] {
         assert!(config.contains(line), "{line} is not in\n{config}");
     }
 }
@@ -162,7 +232,11 @@ fn replica_layout_and_every_mode() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path();
     let size = ["--frames", "6", "--size", "161x121"];
-    run(path, &[&["synth", "room", "--layout", "replica"], size.as_slice()].concat(), 0);
+    run(
+        path,
+        &[&["synth", "room", "--layout", "replica"], size.as_slice()].concat(),
+        0,
+    );
     for mode in ["parallel", "realtime"] {
         run(path, &["run", "room", "--mode", mode, "--out", mode], 0);
         let metrics = metrics(&path.join(mode));
@@ -175,11 +249,24 @@ fn replica_layout_and_every_mode() {
 #[test]
 fn json_lines_for_machines() {
     let folder = folder_with_recording();
-    let output = run(folder.path(), &["run", "room", "--json", "--frames", "..4"], 0);
+    let output = run(
+        folder.path(),
+        &["run", "room", "--json", "--frames", "..4"],
+        0,
+    );
     let text = stdout(&output);
-    let events: Vec<Value> = text.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
-    let kinds: Vec<_> = events.iter().map(|event| event["event"].as_str().unwrap()).collect();
-    assert_eq!(kinds, ["start", "frame", "frame", "frame", "frame", "metrics"]);
+    let events: Vec<Value> = text
+        .lines()
+        .map(|line| serde_json::from_str(line).unwrap())
+        .collect();
+    let kinds: Vec<_> = events
+        .iter()
+        .map(|event| event["event"].as_str().unwrap())
+        .collect();
+    assert_eq!(
+        kinds,
+        ["start", "frame", "frame", "frame", "frame", "metrics"]
+    );
     assert_eq!(events[2]["index"], 1);
     assert_eq!(events[5]["frames"], 4);
     assert_eq!(stderr(&output), "");
@@ -197,18 +284,33 @@ fn a_damaged_frame_is_skipped_counted_and_reported() {
     fs::write(&color, &bytes[..bytes.len() / 2]).unwrap();
     let output = run(path, &["run", "room", "--eval"], 0);
     let message = stderr(&output);
-    assert!(message.starts_with("warning: frame 6 is skipped: "), "{message}");
-    assert!(message.contains(color.file_name().unwrap().to_str().unwrap()), "{message}");
+    assert!(
+        message.starts_with("warning: frame 6 is skipped: "),
+        "{message}"
+    );
+    assert!(
+        message.contains(color.file_name().unwrap().to_str().unwrap()),
+        "{message}"
+    );
     let run = path.join("runs/room");
     let metrics = metrics(&run);
-    assert_eq!((&metrics["frames"], &metrics["frames_damaged"]), (&12.into(), &1.into()));
+    assert_eq!(
+        (&metrics["frames"], &metrics["frames_damaged"]),
+        (&12.into(), &1.into())
+    );
     assert_strict_trajectory(&run, FRAMES - 1);
     let rows = rows(&run);
-    let damaged: Vec<_> = rows.iter().filter(|row| row["status"] == "damaged").collect();
+    let damaged: Vec<_> = rows
+        .iter()
+        .filter(|row| row["status"] == "damaged")
+        .collect();
     assert_eq!(damaged.len(), 1);
     assert_eq!(damaged[0]["index"], "6");
     assert_eq!(damaged[0]["psnr_db"], "");
-    assert!(rows.iter().all(|row| (row["psnr_db"].is_empty()) == (row["status"] != "tracked")));
+    assert!(
+        rows.iter()
+            .all(|row| (row["psnr_db"].is_empty()) == (row["status"] != "tracked"))
+    );
 }
 
 #[test]
@@ -218,7 +320,9 @@ fn a_covered_lens_is_lost_not_invented() {
     for index in 5..8 {
         let [color, depth] = frame_files(&path.join("room"), index);
         image::RgbImage::new(160, 120).save(color).unwrap();
-        image::ImageBuffer::<image::Luma<u16>, Vec<u16>>::new(160, 120).save(depth).unwrap();
+        image::ImageBuffer::<image::Luma<u16>, Vec<u16>>::new(160, 120)
+            .save(depth)
+            .unwrap();
     }
     run(path, &["run", "room"], 0);
     let run = path.join("runs/room");
@@ -238,7 +342,9 @@ fn a_run_that_never_sees_anything_ends_well() {
     let path = folder.path();
     for index in 0..FRAMES {
         let [_, depth] = frame_files(&path.join("room"), index);
-        image::ImageBuffer::<image::Luma<u16>, Vec<u16>>::new(160, 120).save(depth).unwrap();
+        image::ImageBuffer::<image::Luma<u16>, Vec<u16>>::new(160, 120)
+            .save(depth)
+            .unwrap();
     }
     run(path, &["run", "room", "--eval"], 0);
     let run = path.join("runs/room");
@@ -258,15 +364,26 @@ fn interrupted_runs_are_saved() {
     let folder = folder_with_recording();
     let path = folder.path();
     let slow = ["--set", "mapping.iterations_per_frame=50", "--eval"];
-    let mut child = fgs(path, &[&["run", "room", "--json"], slow.as_slice()].concat())
-        .stdout(Stdio::piped())
-        .stderr(Stdio::null())
-        .spawn()
-        .unwrap();
-    let mut lines = BufReader::new(child.stdout.take().unwrap()).lines().map(Result::unwrap);
+    let mut child = fgs(
+        path,
+        &[&["run", "room", "--json"], slow.as_slice()].concat(),
+    )
+    .stdout(Stdio::piped())
+    .stderr(Stdio::null())
+    .spawn()
+    .unwrap();
+    let mut lines = BufReader::new(child.stdout.take().unwrap())
+        .lines()
+        .map(Result::unwrap);
     assert!(lines.any(|line| line.contains(r#""event":"frame""#)));
     let pid = child.id().to_string();
-    assert!(Command::new("kill").args(["-INT", &pid]).status().unwrap().success());
+    assert!(
+        Command::new("kill")
+            .args(["-INT", &pid])
+            .status()
+            .unwrap()
+            .success()
+    );
     let last = lines.last().unwrap();
     assert_eq!(child.wait().unwrap().code(), Some(130));
     assert!(last.contains(r#""event":"metrics""#), "{last}");

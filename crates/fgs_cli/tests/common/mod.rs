@@ -22,7 +22,11 @@ pub fn fgs(folder: &Path, arguments: &[&str]) -> Command {
 pub fn run(folder: &Path, arguments: &[&str], exit_code: i32) -> Output {
     let output = fgs(folder, arguments).output().unwrap();
     let stderr = stderr(&output);
-    assert_eq!(output.status.code(), Some(exit_code), "{arguments:?}: {stderr}");
+    assert_eq!(
+        output.status.code(),
+        Some(exit_code),
+        "{arguments:?}: {stderr}"
+    );
     output
 }
 
@@ -39,7 +43,11 @@ pub fn folder_with_recording() -> TempDir {
     let folder = tempfile::tempdir().unwrap();
     let frames = FRAMES.to_string();
     let size = ["--frames", &frames, "--size", "160x120", "--noise", "none"];
-    run(folder.path(), &[&["synth", "room"], size.as_slice()].concat(), 0);
+    run(
+        folder.path(),
+        &[&["synth", "room"], size.as_slice()].concat(),
+        0,
+    );
     folder
 }
 
@@ -56,8 +64,9 @@ pub fn rows(run: &Path) -> Vec<std::collections::HashMap<String, String>> {
 /// The file names in a folder, sorted; none if there is no such folder.
 pub fn names(folder: &Path) -> Vec<String> {
     let entries = fs::read_dir(folder).into_iter().flatten();
-    let mut names: Vec<_> =
-        entries.map(|entry| entry.unwrap().file_name().into_string().unwrap()).collect();
+    let mut names: Vec<_> = entries
+        .map(|entry| entry.unwrap().file_name().into_string().unwrap())
+        .collect();
     names.sort();
     names
 }
