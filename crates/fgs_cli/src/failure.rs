@@ -43,3 +43,35 @@ pub fn exit_code(error: &anyhow::Error) -> u8 {
     });
     if usage { EXIT_USAGE } else { EXIT_FAILED }
 }
+
+/// The error and its causes, each said once: many errors quote their cause themselves.
+pub fn message(error: &anyhow::Error) -> String {
+    let mut message = String::new();
+    for cause in error.chain().map(ToString::to_string) {
+        if message.is_empty() {
+            message = cause;
+        } else if !message.contains(&cause) {
+            message = format!("{message}: {cause}");
+        }
+    }
+    message
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn causes_are_said_once() {
+        let cause = anyhow::anyhow!("file x: no such file").context("file x: no such file");
+        let error = cause.context("cannot start");
+        assert_eq!(message(&error), "cannot start: file x: no such file");
+    }
+
+    #[test]
+    fn codes_are_found_through_context() {
+        let usage = anyhow::Error::new(UsageError("no".into())).context("cannot start");
+        assert_eq!(exit_code(&usage), EXIT_USAGE);
+        assert_eq!(exit_code(&anyhow::anyhow!("no")), EXIT_FAILED);
+    }
+}

@@ -65,7 +65,7 @@ fn main() -> ExitCode {
     match outcome {
         Ok(exit_code) => exit_code.into(),
         Err(error) => {
-            eprintln!("error: {error:#}");
+            eprintln!("error: {}", failure::message(&error));
             failure::exit_code(&error).into()
         }
     }

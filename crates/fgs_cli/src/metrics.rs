@@ -1,5 +1,6 @@
 //! `metrics.json`: a run in numbers.
 
+use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use anyhow::Context;
@@ -89,7 +90,8 @@ impl Metrics {
     /// If writing fails.
     pub fn write(&self, folder: &RunFolder) -> anyhow::Result<()> {
         folder.write(METRICS, |file| {
-            Ok(serde_json::to_writer_pretty(file, self)?)
+            serde_json::to_writer_pretty(&mut *file, self)?;
+            Ok(writeln!(file)?)
         })
     }
 
