@@ -44,13 +44,12 @@ pub fn exit_code(error: &anyhow::Error) -> u8 {
     if usage { EXIT_USAGE } else { EXIT_FAILED }
 }
 
-/// The error and its causes, each said once: many errors quote their cause themselves.
+/// The error and its causes, one line of each, each said once: many errors quote their cause.
 pub fn message(error: &anyhow::Error) -> String {
-    let mut message = String::new();
-    for cause in error.chain().map(ToString::to_string) {
-        if message.is_empty() {
-            message = cause;
-        } else if !message.contains(&cause) {
+    let mut message = error.to_string();
+    for cause in error.chain().skip(1).map(ToString::to_string) {
+        let cause = cause.lines().next().unwrap_or_default();
+        if !message.contains(cause) {
             message = format!("{message}: {cause}");
         }
     }

@@ -148,7 +148,15 @@ fn runs_repeat_and_can_be_scored_and_rendered() {
     run(path, &["eval", "runs/room-2"], 0);
     let evaluated = metrics(&second);
     for key in IMAGE_SCORES.iter().chain(&TRAJECTORY_SCORES) {
-        assert_eq!(evaluated[key], scored[key], "{key}");
+        // Quaternions are normalised again on reading, which may change their last bits.
+        let (again, before) = (
+            evaluated[key].as_f64().unwrap(),
+            scored[key].as_f64().unwrap(),
+        );
+        assert!(
+            (again - before).abs() <= 1e-9 * before,
+            "{key}: {again} {before}"
+        );
     }
 
     run(
