@@ -32,6 +32,14 @@ pub struct TrackingConfig {
     pub max_depth_m: f64,
     /// Points further apart than this do not correspond.
     pub max_correspondence_distance_m: f64,
+    /// A plane that misses its window's depths by more than this share of the depth (rms) is no
+    /// surface.
+    pub max_fit_error: f64,
+    /// A surface's variance across, relative to its variance along: larger for rougher depth.
+    pub disk_thickness: f64,
+    /// Variances grow with this power of depth squared: 2 for sensors that triangulate, whose
+    /// error grows with the square of the distance.
+    pub noise_power: f64,
     /// What gives the sparse map its covariances.
     pub target: TargetCovariance,
     /// A frame of which a smaller share corresponds to the map is lost.
@@ -166,6 +174,9 @@ impl Default for TrackingConfig {
             grid_stride_px: 4,
             max_depth_m: 5.0,
             max_correspondence_distance_m: 0.03,
+            max_fit_error: 0.004,
+            disk_thickness: 1e-3,
+            noise_power: 2.0,
             target: TargetCovariance::Seeded,
             min_inlier_share: 0.3,
             min_conditioning: 1e-4,
@@ -176,10 +187,10 @@ impl Default for TrackingConfig {
 impl Default for KeyframeConfig {
     fn default() -> Self {
         Self {
-            overlap_distance_m: 1e-3_f64.sqrt(),
+            overlap_distance_m: 0.03,
             min_overlap_share: 0.8,
             mapping_every: 10,
-            new_point_distance_m: 1e-3_f64.sqrt(),
+            new_point_distance_m: 0.015,
             new_points: NewPoints::Distance,
         }
     }
@@ -239,6 +250,14 @@ impl SlamConfig {
         positive(
             "tracking.max_correspondence_distance_m",
             tracking.max_correspondence_distance_m,
+        )?;
+        positive("tracking.max_fit_error", tracking.max_fit_error)?;
+        positive("tracking.disk_thickness", tracking.disk_thickness)?;
+        check(
+            "tracking.noise_power",
+            tracking.noise_power,
+            (0.0..=4.0).contains(&tracking.noise_power),
+            "between 0 and 4",
         )?;
         share("tracking.min_inlier_share", tracking.min_inlier_share)?;
         share("tracking.min_conditioning", tracking.min_conditioning)?;

@@ -12,6 +12,7 @@ use crate::frequency::{FrequencySegmenter, FrequencySettings};
 use crate::keyframes::{Keyframe, NewPoint};
 use crate::missing::missing_region;
 use crate::seeding::Seeder;
+use crate::surface::seeding_surface;
 use crate::view_choice::ViewChoice;
 
 /// Why the mapper cannot go on.
@@ -89,6 +90,7 @@ impl<M: GaussianModel> Mapper<M> {
             keyframe.world_from_camera,
             &detail,
             &self.config.seeding,
+            seeding_surface(&self.config.tracking),
         );
         self.model.insert(&seeder.seeds(&missing, &new_points))?;
         let target = Target::new(frame.color.clone(), frame.depth_m.clone())?;

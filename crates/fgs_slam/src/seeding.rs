@@ -11,7 +11,6 @@ use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
 
 use crate::config::{Disks, SeedingConfig};
 use crate::keyframes::NewPoint;
-use crate::surface::seeding_surface;
 
 /// Opacity of a new gaussian: the largest the rasteriser keeps, since a measured surface is opaque.
 const OPACITY: f32 = 0.99;
@@ -33,19 +32,20 @@ pub struct Seeder<'a> {
 }
 
 impl<'a> Seeder<'a> {
-    /// For a frame, its pose and its detail mask M_h.
+    /// For a frame, its pose, its detail mask M_h and the measurement of its surfaces.
     pub fn new(
         frame: &'a RgbdFrame,
         world_from_camera: Se3,
         detail: &'a Image<bool>,
         config: &'a SeedingConfig,
+        surface: DepthGrid,
     ) -> Self {
         Self {
             frame,
             world_from_camera,
             detail,
             config,
-            surface: seeding_surface(),
+            surface,
         }
     }
 
@@ -179,6 +179,10 @@ mod tests {
         Se3::exp(&nalgebra::Vector6::new(0.4, -0.7, 0.2, 1.0, -2.0, 0.5))
     }
 
+    fn surface() -> DepthGrid {
+        crate::surface::seeding_surface(&crate::config::TrackingConfig::default())
+    }
+
     fn axes(gaussians: &Gaussians, i: usize) -> Matrix3<f64> {
         let [w, x, y, z] = gaussians.quats[i].map(f64::from);
         UnitQuaternion::from_quaternion(nalgebra::Quaternion::new(w, x, y, z))
@@ -192,7 +196,7 @@ mod tests {
         let detail = Image::from_fn(W, H, |u, _| u < 24);
         let missing = Image::from_fn(W, H, |_, v| v < 20);
         let config = SeedingConfig::default();
-        let seeder = Seeder::new(&frame, pose(), &detail, &config);
+        let seeder = Seeder::new(&frame, pose(), &detail, &config, surface());
         let seeds = seeder.seeds(&missing, &[]);
         assert_eq!(seeds.gaussians.len(), 12 * 10 + 6 * 5);
         assert!(seeds.sparse_ids.iter().all(Option::is_none));
@@ -211,7 +215,7 @@ mod tests {
         let detail = Image::filled(W, H, false);
         let missing = Image::from_fn(W, H, |_, v| v < 4);
         let config = SeedingConfig::default();
-        let seeder = Seeder::new(&frame, pose(), &detail, &config);
+        let seeder = Seeder::new(&frame, pose(), &detail, &config, surface());
         let points = [(8, 0, 7), (9, 0, 8), (8, 30, 9)].map(|(u, v, id)| NewPoint {
             u,
             v,
@@ -230,7 +234,7 @@ mod tests {
         let detail = Image::filled(W, H, true);
         let missing = Image::filled(W, H, true);
         let config = SeedingConfig::default();
-        let seeds = Seeder::new(&frame, pose(), &detail, &config).seeds(&missing, &[]);
+        let seeds = Seeder::new(&frame, pose(), &detail, &config, surface()).seeds(&missing, &[]);
         let camera_from_world = pose().inverse();
         let gaussians = &seeds.gaussians;
         for i in 0..gaussians.len() {
@@ -265,7 +269,7 @@ mod tests {
             disks: Disks::View,
             ..SeedingConfig::default()
         };
-        let seeds = Seeder::new(&frame, pose(), &detail, &config).seeds(&missing, &[]);
+        let seeds = Seeder::new(&frame, pose(), &detail, &config, surface()).seeds(&missing, &[]);
         for (i, mean) in seeds.gaussians.means.iter().enumerate() {
             let ray = (Vector3::from(*mean).cast() - pose().translation).normalize();
             assert!((axes(&seeds.gaussians, i).column(2) + ray).amax() <= 1e-5);
@@ -282,7 +286,7 @@ mod tests {
         let detail = Image::filled(W, H, true);
         let missing = Image::filled(W, H, true);
         let config = SeedingConfig::default();
-        let seeder = Seeder::new(&frame, pose(), &detail, &config);
+        let seeder = Seeder::new(&frame, pose(), &detail, &config, surface());
         let point = NewPoint {
             u: 0,
             v: 0,
