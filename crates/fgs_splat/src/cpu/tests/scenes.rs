@@ -42,7 +42,7 @@ pub fn random_gaussians(rng: &mut Pcg64Mcg, view: &View, count: usize) -> Gaussi
         let log_pixel = pixel.ln();
         let scales = std::array::from_fn(|_| log_pixel + rng.random_range(-1.5..1.8));
         gaussians.log_scales.push(scales);
-        gaussians.opacity_logits.push(rng.random_range(-3.0..5.0));
+        gaussians.opacity_logits.push(rng.random_range(-3.0..8.0));
         let sh = std::array::from_fn(|_| (rng.random_range(-0.1..1.0) - 0.5) / SH0_FACTOR);
         gaussians.sh.push(sh);
     }
