@@ -5,7 +5,7 @@ use num_dual::Dual64;
 use rand::RngExt;
 use rand_pcg::Pcg64Mcg;
 
-use super::scenes::{convert, random_gaussians, random_view, rng, to_f32};
+use super::scenes::{convert, random_gaussians, random_view, rng, thicken, to_f32};
 use crate::cpu::{Rasterizer, Real};
 use crate::{Cotangents, GaussianGradients, Gaussians, reference};
 

@@ -49,6 +49,14 @@ pub fn random_gaussians(rng: &mut Pcg64Mcg, view: &View, count: usize) -> Gaussi
     gaussians
 }
 
+/// Larger and more opaque, so that many pixels are saturated.
+pub fn thicken(gaussians: &mut Gaussians<f64>) {
+    for (scales, logit) in (gaussians.log_scales.iter_mut()).zip(&mut gaussians.opacity_logits) {
+        *scales = scales.map(|s| s + 1.0);
+        *logit += 2.0;
+    }
+}
+
 pub fn rng(seed: u64) -> Pcg64Mcg {
     Pcg64Mcg::seed_from_u64(seed)
 }

@@ -3,7 +3,7 @@
 use fgs_geom::{Camera, Intrinsics, Se3, View};
 use rand::RngExt;
 
-use super::scenes::{random_gaussians, random_view, rng, to_f32};
+use super::scenes::{random_gaussians, random_view, rng, thicken, to_f32};
 use crate::cpu::{Rasterizer, Real};
 use crate::{Gaussians, Rendered, SH0_FACTOR, reference};
 
@@ -36,8 +36,12 @@ fn tiled_agrees_with_the_reference() {
         let mut rng = rng(seed);
         let (width, height) = SIZES[seed as usize % SIZES.len()];
         let view = random_view(&mut rng, width, height);
-        let count = rng.random_range(1..60);
-        let gaussians = random_gaussians(&mut rng, &view, count);
+        let thick = seed % 4 == 0;
+        let count = rng.random_range(if thick { 60..120 } else { 1..60 });
+        let mut gaussians = random_gaussians(&mut rng, &view, count);
+        if thick {
+            thicken(&mut gaussians);
+        }
         let double = render(&gaussians, &view);
         let single = render(&to_f32(&gaussians), &view);
         for (i, pixel) in reference::render(&gaussians, &view).iter().enumerate() {
@@ -159,6 +163,22 @@ fn a_saturated_pixel_takes_no_more() {
     let red = |gaussians: &Gaussians<f64>| render(gaussians, &view).color.at(12, 7)[0];
     assert!((red(&open) - 0.02_f64.powi(2) * 0.98).abs() <= 1e-15);
     assert_eq!(red(&shut), 0.0);
+}
+
+/// The tile's other pixels are open, so the gaussian behind is looked at, but it has no pixel.
+#[test]
+fn a_gaussian_behind_a_saturated_pixel_is_not_visible() {
+    let mut behind = disk_on_axis(2.0, 2.0 / 255.0, [1.0; 3]);
+    behind.log_scales[0] = [-15.0; 3];
+    let front = disk_on_axis(1.0, 0.98, [0.5; 3]);
+    let mut rasterizer = Rasterizer::default();
+    let visible = |gaussians: &Gaussians<f64>, rasterizer: &mut Rasterizer<f64>| {
+        rasterizer.render(gaussians, &straight_view()).visible()
+    };
+    let once = join(&[&behind, &front]);
+    assert_eq!(visible(&once, &mut rasterizer), [0, 1]);
+    let often = join(&[&behind, &front, &front, &front]);
+    assert_eq!(visible(&often, &mut rasterizer), [1, 2, 3]);
 }
 
 #[test]
