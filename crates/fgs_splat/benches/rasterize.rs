@@ -15,24 +15,23 @@ use rand_pcg::Pcg64Mcg;
 const GAUSSIANS: usize = 100_000;
 const RUNS: usize = 11;
 
-fn main() {
+fn main() -> Result<(), Box<dyn std::error::Error>> {
     let frames = [
         (640, 480, [525.0, 525.0, 319.5, 239.5]),
         (1200, 680, [600.0, 600.0, 599.5, 339.5]),
     ];
     println!("size threads forward_ms(median min) backward_ms(median min) sum_ms(median min)");
     for (width, height, [fx, fy, cx, cy]) in frames {
-        let camera = Camera::new(width, height, Intrinsics { fx, fy, cx, cy }).unwrap();
+        let camera = Camera::new(width, height, Intrinsics { fx, fy, cx, cy })?;
         let view = View {
             camera,
             world_from_camera: Se3::identity(),
         };
         let gaussians = scene(&camera);
-        for threads in [1] {
+        for threads in [1, 2] {
             let pool = rayon::ThreadPoolBuilder::new()
                 .num_threads(threads)
-                .build()
-                .unwrap();
+                .build()?;
             let start = Instant::now();
             let wall_ms = || 1e3 * start.elapsed().as_secs_f64();
             let thread_ms = || thread_cpu_ms().unwrap_or_else(wall_ms);
@@ -53,6 +52,7 @@ fn main() {
             );
         }
     }
+    Ok(())
 }
 
 /// Milliseconds of forward, backward and both, of each run.

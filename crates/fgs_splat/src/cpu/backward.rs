@@ -88,6 +88,7 @@ impl<T: Real> NullaryFnOnce for BlendTileVjp<'_, T> {
             for (offset, (entry, splat)) in entries.iter().zip(&batch).enumerate().rev() {
                 let position = index * BATCH + offset;
                 if !self.contributed[position] {
+                    self.sums[position] = PixelSums::default();
                     continue;
                 }
                 let mut lane_sums = [zero; SUMS];

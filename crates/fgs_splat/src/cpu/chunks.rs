@@ -98,10 +98,9 @@ impl<T: Real> NullaryFnOnce for ProjectChunkVjp<'_, T> {
                 *total = PixelSums::default();
                 *hit = false;
                 for &entry in &self.lists.entry_from_touch[start..end] {
-                    if self.contributed[entry as usize] {
-                        *hit = true;
-                        total.add(&self.sums[entry as usize]);
-                    }
+                    // No branch: its outcome would wait for memory.
+                    *hit |= self.contributed[entry as usize];
+                    total.add(&self.sums[entry as usize]);
                 }
                 start = end;
             }

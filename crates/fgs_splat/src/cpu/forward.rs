@@ -169,7 +169,7 @@ fn blend_block<T: Real>(
     for lane in 0..LANES {
         // No branch: `entries` only grows.
         entries_used[lane] = entries_used[lane].max(entries * taken[lane]);
-        outcome |= HIT * taken[lane] | OPEN * open[lane];
+        outcome |= (HIT * taken[lane]) | (OPEN * open[lane]);
     }
     outcome
 }

@@ -68,6 +68,20 @@ pub trait Real:
     }
 }
 
+/// Minimax polynomial of 2^f on [-1/2, 1/2] with value 1 at 0, from the linear term up: relative
+/// error 9.2e-8.
+#[expect(
+    clippy::approx_constant,
+    reason = "the best coefficient is not quite ln 2"
+)]
+const EXP2: [f32; 5] = [
+    0.693_147,
+    0.240_222_42,
+    0.055_507_34,
+    0.009_671_513,
+    0.001_326_472_7,
+];
+
 impl Real for f32 {
     const ZERO: Self = 0.0;
     const ONE: Self = 1.0;
@@ -101,12 +115,8 @@ impl Real for f32 {
         let x = Real::max(self, -100.0);
         let rounded = x + ROUND;
         let f = x - (rounded - ROUND);
-        // Minimax polynomial of 2^f on [-1/2, 1/2] with value 1 at 0: relative error 9.2e-8.
-        let power =
-            ((((0.001_326_472_7 * f + 0.009_671_513) * f + 0.055_507_34) * f + 0.240_222_42) * f
-                + 0.693_147)
-                * f
-                + 1.0;
+        let [c1, c2, c3, c4, c5] = EXP2;
+        let power = ((((c5 * f + c4) * f + c3) * f + c2) * f + c1) * f + 1.0;
         f32::from_bits(power.to_bits().wrapping_add(rounded.to_bits() << 23))
     }
 

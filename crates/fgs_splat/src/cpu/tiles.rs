@@ -4,6 +4,7 @@
 //! indices) and dealt out to their tiles in that order: each list comes out sorted. Sizes of
 //! lists and their entries come from the same touches.
 
+use std::iter::once;
 use std::ops::Range;
 
 use super::bounds::{TileGrid, Touch};
@@ -26,8 +27,8 @@ pub(super) struct Entry {
     pub blocks: u16,
 }
 
-/// Entries whose splats are loaded together, so that the waits for memory overlap: a tile's
-/// gaussians lie anywhere.
+/// Items that are loaded together before they are worked on, so that the waits for memory
+/// overlap: a tile's gaussians lie anywhere.
 pub(super) const BATCH: usize = 32;
 
 /// Copies the splats of up to `BATCH` entries.
@@ -84,29 +85,32 @@ impl TileLists {
         self.entry_from_touch.resize(touches.len(), 0);
 
         self.sort_by_depth::<T>(visible);
-        for &index in &self.order {
-            let index = index as usize;
-            let first = match index {
-                0 => 0,
-                _ => visible[index - 1].touches_end as usize,
-            };
-            let Visible {
-                gaussian,
-                touches_end,
-                ..
-            } = visible[index];
-            let range = first..touches_end as usize;
-            for (touch, entry) in touches[range.clone()]
-                .iter()
-                .zip(&mut self.entry_from_touch[range])
-            {
-                let cursor = &mut self.cursors[touch.tile as usize];
-                self.entries[*cursor] = Entry {
-                    gaussian,
-                    blocks: touch.blocks,
+        let mut batch = [(Touch::default(), 0, Visible::default()); BATCH];
+        for order in self.order.chunks(BATCH) {
+            // Loading the first touch fetches the others too, in most cases.
+            for (&index, loaded) in order.iter().zip(&mut batch) {
+                let index = index as usize;
+                let first = match index {
+                    0 => 0,
+                    _ => visible[index - 1].touches_end as usize,
                 };
-                *entry = *cursor as u32;
-                *cursor += 1;
+                *loaded = (touches[first], first, visible[index]);
+            }
+            for &(first_touch, first, gaussian) in batch.iter().take(order.len()) {
+                let range = first..gaussian.touches_end as usize;
+                let rest = touches[range.clone()].iter().skip(1);
+                for (&touch, position) in once(&first_touch)
+                    .chain(rest)
+                    .zip(&mut self.entry_from_touch[range])
+                {
+                    let cursor = &mut self.cursors[touch.tile as usize];
+                    self.entries[*cursor] = Entry {
+                        gaussian: gaussian.gaussian,
+                        blocks: touch.blocks,
+                    };
+                    *position = *cursor as u32;
+                    *cursor += 1;
+                }
             }
         }
     }

@@ -5,7 +5,7 @@ use num_dual::Dual64;
 use rand::RngExt;
 use rand_pcg::Pcg64Mcg;
 
-use super::scenes::{convert, random_gaussians, random_view, rng, to_f32};
+use super::scenes::{convert, random_gaussians, random_view, rng, thicken, to_f32};
 use crate::cpu::{Rasterizer, Real};
 use crate::{Cotangents, GaussianGradients, Gaussians, reference};
 
@@ -102,13 +102,20 @@ pub fn cotangents_to_f32(cotangents: &Cotangents<f64>) -> Cotangents<f32> {
 fn every_gradient_agrees_with_dual_numbers() {
     let mut strong = [0_usize; 14];
     let mut worst = 0.0_f64;
-    for (seed, (width, height)) in [(1, 1), (17, 33), (20, 13), (33, 17)]
-        .into_iter()
-        .enumerate()
-    {
-        let mut rng = rng(seed as u64);
+    let scenes = [
+        (1, 1, false),
+        (17, 33, false),
+        (20, 13, false),
+        (33, 17, false),
+        (18, 7, true),
+    ];
+    for (seed, (width, height, thick)) in (0..).zip(scenes) {
+        let mut rng = rng(seed);
         let view = random_view(&mut rng, width, height);
-        let gaussians = random_gaussians(&mut rng, &view, 12);
+        let mut gaussians = random_gaussians(&mut rng, &view, if thick { 40 } else { 12 });
+        if thick {
+            thicken(&mut gaussians);
+        }
         let cotangents = random_cotangents(&mut rng, &view);
         let expected = dual_gradient(&gaussians, &view, &cotangents);
         let gradients = vjp(&gaussians, &view, &cotangents);

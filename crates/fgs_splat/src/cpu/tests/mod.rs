@@ -2,4 +2,5 @@
 
 mod gradients;
 mod scenes;
+mod symmetries;
 mod values;

@@ -42,11 +42,19 @@ pub fn random_gaussians(rng: &mut Pcg64Mcg, view: &View, count: usize) -> Gaussi
         let log_pixel = pixel.ln();
         let scales = std::array::from_fn(|_| log_pixel + rng.random_range(-1.5..1.8));
         gaussians.log_scales.push(scales);
-        gaussians.opacity_logits.push(rng.random_range(-3.0..5.0));
+        gaussians.opacity_logits.push(rng.random_range(-3.0..8.0));
         let sh = std::array::from_fn(|_| (rng.random_range(-0.1..1.0) - 0.5) / SH0_FACTOR);
         gaussians.sh.push(sh);
     }
     gaussians
+}
+
+/// Larger and more opaque, so that many pixels are saturated.
+pub fn thicken(gaussians: &mut Gaussians<f64>) {
+    for (scales, logit) in (gaussians.log_scales.iter_mut()).zip(&mut gaussians.opacity_logits) {
+        *scales = scales.map(|s| s + 1.0);
+        *logit += 2.0;
+    }
 }
 
 pub fn rng(seed: u64) -> Pcg64Mcg {
