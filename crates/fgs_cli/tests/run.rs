@@ -1,7 +1,10 @@
 //! Whole runs: what they leave, that they can be repeated, scored and rendered.
 
+#![allow(clippy::unwrap_used, reason = "a test may panic, its helpers too")]
+
 mod common;
 
+use std::collections::HashMap;
 use std::fs;
 use std::path::Path;
 
@@ -144,6 +147,28 @@ fn runs_repeat_and_can_be_scored_and_rendered() {
             .iter()
             .any(|name| name.starts_with("worst-frame"))
     );
+
+    let rows = rows(&first);
+    let mean = |key: &str, keyframes_too: bool| {
+        let counts = |row: &&HashMap<String, String>| keyframes_too || row["keyframe"].is_empty();
+        let values: Vec<f64> = rows
+            .iter()
+            .filter(counts)
+            .map(|row| row[key].parse().unwrap())
+            .collect();
+        values.iter().sum::<f64>() / values.len() as f64
+    };
+    for (key, column, keyframes_too) in [
+        ("psnr_db", "psnr_db", true),
+        ("psnr_valid_depth_db", "psnr_valid_depth_db", true),
+        ("psnr_heldout_db", "psnr_valid_depth_db", false),
+        ("ssim", "ssim", true),
+    ] {
+        let error = scored[key].as_f64().unwrap() - mean(column, keyframes_too);
+        assert!(error.abs() <= 1e-9, "{key}: {error}");
+    }
+    assert_ne!(scored["psnr_heldout_db"], scored["psnr_valid_depth_db"]);
+    assert!(scored["psnr_db"].as_f64().unwrap() >= 18.0, "{scored}");
 
     run(path, &["eval", "runs/room-2"], 0);
     let evaluated = metrics(&second);
