@@ -85,6 +85,15 @@ fn assert_strict_trajectory(run: &Path, poses: usize) {
 fn runs_repeat_and_can_be_scored_and_rendered() {
     let folder = folder_with_recording();
     let path = folder.path();
+    // A hole in the depth, so that scores over valid and over all pixels differ.
+    let [_, depth] = frame_files(&path.join("room"), 3);
+    let mut image = image::open(&depth).unwrap().into_luma16();
+    for (u, _, pixel) in image.enumerate_pixels_mut() {
+        if u < 40 {
+            pixel.0 = [0];
+        }
+    }
+    image.save(depth).unwrap();
     run(
         path,
         &[
@@ -261,6 +270,7 @@ fn settings_and_frames_of_the_command_line_hold() {
     assert_eq!(rows(&path.join("out"))[0]["index"], "2");
     let config = fs::read_to_string(path.join("out/config.effective.toml")).unwrap();
     for line in [
+        "fx = 131.25",
         "seed = 9",
         "prune_every = 3",
         "iterations_per_frame = 0.5",
