@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use clap::Args;
 use fgs_data::{Dataset, OpenOptions};
-use fgs_synth::{SensorModel, Sequence, kinect_camera};
+use fgs_synth::{FRAMES_PER_LOOP, SensorModel, Sequence, kinect_camera};
 
 use crate::console::Console;
 use crate::failure::EXIT_DONE;
@@ -15,9 +15,9 @@ use crate::settings::Settings;
 use crate::threads::Threads;
 use crate::{interrupt, synth};
 
-/// Half a Kinect's resolution and a third of a loop: minutes on two cores.
+/// Half a Kinect's resolution and once round the room: two minutes on two cores.
 const SIZE: (usize, usize) = (320, 240);
-const FRAMES: usize = 100;
+const FRAMES: usize = FRAMES_PER_LOOP;
 const SEED: u64 = 1;
 
 /// See it work, without any data of your own

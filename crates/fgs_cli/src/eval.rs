@@ -1,6 +1,6 @@
 //! `fgs eval`: scores the folder of an earlier run (again).
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use anyhow::Context;
 use clap::Args;
@@ -50,7 +50,8 @@ pub struct EvalArgs {
 /// If the folder or the recording cannot be read, or the scores not be written.
 pub fn run(args: &EvalArgs) -> anyhow::Result<u8> {
     let console = Console::new(args.json);
-    let folder = RunFolder::create(&existing(&args.run)?)?;
+    check_run(&args.run)?;
+    let folder = RunFolder::create(&args.run)?;
     let mut settings = Settings::read(&folder.join(CONFIG))?;
     let recorded = settings.run.dataset.clone();
     let path = args.dataset.clone().or(recorded).ok_or_else(|| {
@@ -76,9 +77,10 @@ pub fn run(args: &EvalArgs) -> anyhow::Result<u8> {
     Ok(EXIT_DONE)
 }
 
-fn existing(path: &PathBuf) -> Result<PathBuf, UsageError> {
+/// Refuses a folder that no run has made.
+fn check_run(path: &Path) -> Result<(), UsageError> {
     if path.join(CONFIG).is_file() {
-        return Ok(path.clone());
+        return Ok(());
     }
     Err(UsageError(format!(
         "{} is not the folder of a run: it has no {CONFIG}",

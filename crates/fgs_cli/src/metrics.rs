@@ -113,7 +113,7 @@ impl Metrics {
         if let (Some(rmse), Some(mean)) = (self.ate_rmse_m, self.ate_mean_m) {
             line(
                 "ATE",
-                format!("{:.2} cm rmse, {:.2} cm mean", 100.0 * rmse, 100.0 * mean),
+                format!("{:.3} cm rmse, {:.3} cm mean", 100.0 * rmse, 100.0 * mean),
             );
         }
         if let (Some(valid), Some(all)) = (self.psnr_valid_depth_db, self.psnr_db) {

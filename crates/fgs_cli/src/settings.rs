@@ -257,8 +257,10 @@ mod tests {
     #[test]
     fn a_part_of_the_keys_is_enough() {
         let settings = read("seed = 7\n[mapping]\nprune_every = 50\n").unwrap();
-        let mut expected = SlamConfig::default();
-        expected.seed = 7;
+        let mut expected = SlamConfig {
+            seed: 7,
+            ..SlamConfig::default()
+        };
         expected.mapping.prune_every = 50;
         assert_eq!(settings.slam(), expected);
         assert_eq!(read("").unwrap(), Settings::default());

@@ -1,6 +1,8 @@
 //! What cannot work is refused at once: the right exit code, one line that names file and line or
 //! key, and nothing written.
 
+#![allow(clippy::unwrap_used, reason = "a test may panic, its helpers too")]
+
 mod common;
 
 use std::fs;

@@ -1,7 +1,10 @@
 //! Whole runs: what they leave, that they can be repeated, scored and rendered.
 
+#![allow(clippy::unwrap_used, reason = "a test may panic, its helpers too")]
+
 mod common;
 
+use std::collections::HashMap;
 use std::fs;
 use std::path::Path;
 
@@ -82,6 +85,15 @@ fn assert_strict_trajectory(run: &Path, poses: usize) {
 fn runs_repeat_and_can_be_scored_and_rendered() {
     let folder = folder_with_recording();
     let path = folder.path();
+    // A hole in the depth, so that scores over valid and over all pixels differ.
+    let [_, depth] = frame_files(&path.join("room"), 3);
+    let mut image = image::open(&depth).unwrap().into_luma16();
+    for (u, _, pixel) in image.enumerate_pixels_mut() {
+        if u < 40 {
+            pixel.0 = [0];
+        }
+    }
+    image.save(depth).unwrap();
     run(
         path,
         &[
@@ -144,6 +156,28 @@ fn runs_repeat_and_can_be_scored_and_rendered() {
             .iter()
             .any(|name| name.starts_with("worst-frame"))
     );
+
+    let rows = rows(&first);
+    let mean = |key: &str, keyframes_too: bool| {
+        let counts = |row: &&HashMap<String, String>| keyframes_too || row["keyframe"].is_empty();
+        let values: Vec<f64> = rows
+            .iter()
+            .filter(counts)
+            .map(|row| row[key].parse().unwrap())
+            .collect();
+        values.iter().sum::<f64>() / values.len() as f64
+    };
+    for (key, column, keyframes_too) in [
+        ("psnr_db", "psnr_db", true),
+        ("psnr_valid_depth_db", "psnr_valid_depth_db", true),
+        ("psnr_heldout_db", "psnr_valid_depth_db", false),
+        ("ssim", "ssim", true),
+    ] {
+        let error = scored[key].as_f64().unwrap() - mean(column, keyframes_too);
+        assert!(error.abs() <= 1e-9, "{key}: {error}");
+    }
+    assert_ne!(scored["psnr_heldout_db"], scored["psnr_valid_depth_db"]);
+    assert!(scored["psnr_db"].as_f64().unwrap() >= 18.0, "{scored}");
 
     run(path, &["eval", "runs/room-2"], 0);
     let evaluated = metrics(&second);
@@ -236,6 +270,7 @@ fn settings_and_frames_of_the_command_line_hold() {
     assert_eq!(rows(&path.join("out"))[0]["index"], "2");
     let config = fs::read_to_string(path.join("out/config.effective.toml")).unwrap();
     for line in [
+        "fx = 131.25",
         "seed = 9",
         "prune_every = 3",
         "iterations_per_frame = 0.5",
