@@ -1,1 +1,72 @@
-fn main() {}
+//! `fgs`: RGB-D SLAM with gaussian splatting, guided by a Fourier segmentation. Glue only: every
+//! subcommand is a file of its own.
+
+mod console;
+mod demo;
+mod eval;
+mod evaluation;
+mod failure;
+mod fly_through;
+mod frame_log;
+mod frame_range;
+mod image_size;
+mod interrupt;
+mod memory;
+mod metrics;
+mod mode;
+mod pictures;
+mod pipeline;
+mod progress;
+mod recording;
+mod render;
+mod run;
+mod run_folder;
+mod run_result;
+mod settings;
+mod synth;
+mod threads;
+
+use std::process::ExitCode;
+
+use clap::{Parser, Subcommand};
+
+/// RGB-D SLAM: from a recording of colour and depth to the camera's trajectory and a map of gaussians.
+#[derive(Parser)]
+#[command(
+    version,
+    about,
+    after_help = "\
+Start here:
+  fgs demo                        no data needed; a few minutes
+  fgs run recordings/desk --eval  your own recording; `fgs run --help` says how it is laid out"
+)]
+struct Cli {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Subcommand)]
+enum Command {
+    Run(run::RunArgs),
+    Eval(eval::EvalArgs),
+    Render(render::RenderArgs),
+    Synth(synth::SynthArgs),
+    Demo(demo::DemoArgs),
+}
+
+fn main() -> ExitCode {
+    let outcome = match Cli::parse().command {
+        Command::Run(args) => run::run(&args),
+        Command::Eval(args) => eval::run(&args),
+        Command::Render(args) => render::run(&args),
+        Command::Synth(args) => synth::run(&args),
+        Command::Demo(args) => demo::run(&args),
+    };
+    match outcome {
+        Ok(exit_code) => exit_code.into(),
+        Err(error) => {
+            eprintln!("error: {}", failure::message(&error));
+            failure::exit_code(&error).into()
+        }
+    }
+}

@@ -37,6 +37,7 @@ impl Default for OpenOptions {
 pub struct Dataset {
     format: Format,
     loader: Arc<FrameLoader>,
+    camera_file: CameraFile,
     ground_truth: Option<Trajectory>,
 }
 
@@ -61,6 +62,7 @@ impl Dataset {
                 recording.no_depth,
                 &camera,
             )),
+            camera_file: camera,
             ground_truth: recording.ground_truth,
         })
     }
@@ -73,6 +75,11 @@ impl Dataset {
     /// The pinhole camera of every frame.
     pub fn camera(&self) -> &Camera {
         self.loader.camera()
+    }
+
+    /// The camera as given or found: with the lens and the unit of depth.
+    pub fn camera_file(&self) -> &CameraFile {
+        &self.camera_file
     }
 
     /// How many frames there are: at least one.

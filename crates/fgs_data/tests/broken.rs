@@ -1,5 +1,7 @@
 //! Broken recordings are refused with a message that says where and why, each its own.
 
+#![allow(clippy::unwrap_used)]
+
 mod common;
 
 use std::collections::BTreeSet;

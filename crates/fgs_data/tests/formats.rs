@@ -1,5 +1,7 @@
 //! Whole recordings in each layout come out as they went in.
 
+#![allow(clippy::unwrap_used)]
+
 mod common;
 
 use std::fs;

@@ -1,6 +1,8 @@
 //! Recordings of full size, where there are any: in the folder `FGS_SHARED`, or `../shared` beside
 //! the workspace.
 
+#![allow(clippy::unwrap_used)]
+
 use std::path::{Path, PathBuf};
 
 use fgs_data::{CameraFile, Dataset, OpenOptions};

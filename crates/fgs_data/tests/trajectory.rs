@@ -1,5 +1,7 @@
 //! Trajectory files.
 
+#![allow(clippy::unwrap_used)]
+
 mod common;
 
 use std::fs;

@@ -59,26 +59,29 @@ impl UndistortionMap {
     /// The ideal colour image, bilinear; black where the distorted image shows nothing.
     /// `None` if the image has another size than the camera.
     pub fn color(&self, distorted: &Image<[u8; 3]>) -> Option<Image<[u8; 3]>> {
+        let (right, bottom) = (
+            distorted.width().checked_sub(1)?,
+            distorted.height().checked_sub(1)?,
+        );
         self.fits(distorted).then(|| {
             self.source.map(|&[x, y]| {
-                let (u, v) = (x.floor(), y.floor());
-                let (a, b) = (x - u, y - v);
-                let corner = |du: f32, dv: f32| pixel(distorted, u + du, v + dv);
-                let corners = [
-                    (corner(0.0, 0.0), (1.0 - a) * (1.0 - b)),
-                    (corner(1.0, 0.0), a * (1.0 - b)),
-                    (corner(0.0, 1.0), (1.0 - a) * b),
-                    (corner(1.0, 1.0), a * b),
-                ];
-                let mut color = [0.0; 3];
-                for (corner, weight) in corners {
-                    match corner {
-                        Some(rgb) => (0..3).for_each(|i| color[i] += weight * f32::from(rgb[i])),
-                        None if weight > 0.0 => return [0; 3],
-                        None => {}
-                    }
+                let is_inside =
+                    (0.0..=right as f32).contains(&x) && (0.0..=bottom as f32).contains(&y);
+                if !is_inside {
+                    return [0; 3];
                 }
-                color.map(|channel| channel.round() as u8)
+                let (u, v) = (x as usize, y as usize);
+                let (a, b) = (x - u as f32, y - v as f32);
+                // In the last column a is 0, so any neighbour will do; the same for rows.
+                let (next_u, next_v) = ((u + 1).min(right), (v + 1).min(bottom));
+                let (top, below) = (distorted.row(v), distorted.row(next_v));
+                std::array::from_fn(|i| {
+                    let mix = |p: u8, q: u8, t: f32| (1.0 - t) * f32::from(p) + t * f32::from(q);
+                    let upper = mix(top[u][i], top[next_u][i], a);
+                    let lower = mix(below[u][i], below[next_u][i], a);
+                    // Rounds: the cast cuts off. (`round` is a slow call on plain x86-64.)
+                    ((1.0 - b) * upper + b * lower + 0.5) as u8
+                })
             })
         })
     }
@@ -89,7 +92,7 @@ impl UndistortionMap {
     pub fn depth(&self, distorted: &Image<f32>) -> Option<Image<f32>> {
         self.fits(distorted).then(|| {
             self.source
-                .map(|&[x, y]| pixel(distorted, x.round(), y.round()).unwrap_or(0.0))
+                .map(|&[x, y]| nearest(distorted, x, y).unwrap_or(0.0))
         })
     }
 
@@ -98,7 +101,8 @@ impl UndistortionMap {
     }
 }
 
-fn pixel<T: Copy>(image: &Image<T>, u: f32, v: f32) -> Option<T> {
+fn nearest<T: Copy>(image: &Image<T>, x: f32, y: f32) -> Option<T> {
+    let (u, v) = (x + 0.5, y + 0.5);
     (u >= 0.0 && v >= 0.0)
         .then(|| image.get(u as usize, v as usize))
         .flatten()

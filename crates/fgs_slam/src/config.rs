@@ -229,9 +229,8 @@ impl SlamConfig {
     /// The offending key with what it should be.
     pub fn validate(&self) -> Result<(), ConfigError> {
         let positive = |key, value: f64| check(key, value, value > 0.0, "more than 0");
-        let share = |key, value: f64| {
-            check(key, value, (0.0..=1.0).contains(&value), "between 0 and 1")
-        };
+        let share =
+            |key, value: f64| check(key, value, (0.0..=1.0).contains(&value), "between 0 and 1");
         let count = |key, value: usize| check(key, value as f64, value > 0, "at least 1");
         let (tracking, keyframes) = (&self.tracking, &self.keyframes);
         let (seeding, mapping) = (&self.seeding, &self.mapping);
@@ -255,7 +254,10 @@ impl SlamConfig {
         positive("seeding.high_sigma_px", seeding.high_sigma_px)?;
         positive("seeding.low_sigma_px", seeding.low_sigma_px)?;
         share("seeding.min_alpha", seeding.min_alpha.into())?;
-        positive("seeding.depth_error_factor", seeding.depth_error_factor.into())?;
+        positive(
+            "seeding.depth_error_factor",
+            seeding.depth_error_factor.into(),
+        )?;
         positive("seeding.max_color_error", seeding.max_color_error.into())?;
         let iterations = mapping.iterations_per_frame;
         check(
@@ -264,8 +266,14 @@ impl SlamConfig {
             (0.0..=1e4).contains(&iterations),
             "between 0 and 10000",
         )?;
-        share("mapping.min_covisible_share", mapping.min_covisible_share.into())?;
-        share("mapping.covisible_probability", mapping.covisible_probability)?;
+        share(
+            "mapping.min_covisible_share",
+            mapping.min_covisible_share.into(),
+        )?;
+        share(
+            "mapping.covisible_probability",
+            mapping.covisible_probability,
+        )?;
         count("mapping.max_keyframes", mapping.max_keyframes)?;
         count("mapping.prune_every", mapping.prune_every)?;
         share("mapping.prune_opacity", mapping.prune_opacity.into())?;
@@ -276,10 +284,18 @@ impl SlamConfig {
             ("mapping.learning_rates.means", rates.means),
             ("mapping.learning_rates.quats", rates.quats),
             ("mapping.learning_rates.log_scales", rates.log_scales),
-            ("mapping.learning_rates.opacity_logits", rates.opacity_logits),
+            (
+                "mapping.learning_rates.opacity_logits",
+                rates.opacity_logits,
+            ),
             ("mapping.learning_rates.sh", rates.sh),
         ] {
-            check(key, rate.into(), (0.0..=1.0).contains(&rate), "between 0 and 1")?;
+            check(
+                key,
+                rate.into(),
+                (0.0..=1.0).contains(&rate),
+                "between 0 and 1",
+            )?;
         }
         Ok(())
     }

@@ -16,8 +16,8 @@ mod tracker;
 mod view_choice;
 
 pub use config::{
-    ConfigError, Disks, KeyframeConfig, MappingConfig, NewPoints, SeedingConfig,
-    SlamConfig, TargetCovariance, TrackingConfig,
+    ConfigError, Disks, KeyframeConfig, MappingConfig, NewPoints, SeedingConfig, SlamConfig,
+    TargetCovariance, TrackingConfig,
 };
 pub use keyframes::{Keyframe, KeyframeKind};
 pub use mapper::{Mapper, MapperError, model_settings};

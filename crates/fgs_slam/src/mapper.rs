@@ -3,8 +3,8 @@
 
 use fgs_geom::{Camera, FrameIndex, Image, View};
 use fgs_splat::{
-    GaussianModel, Gaussians, LossError, LossSettings, ModelError, ModelSettings, PruneRule, Rendered,
-    SparseChanges, StepStats, Target, ViewId,
+    GaussianModel, Gaussians, LossError, LossSettings, ModelError, ModelSettings, PruneRule,
+    Rendered, SparseChanges, StepStats, Target, ViewId,
 };
 
 use crate::config::{MappingConfig, NewPoints, SlamConfig};

@@ -101,7 +101,11 @@ mod tests {
 
     fn missing(rendered: &Rendered, frame: &RgbdFrame, config: &SeedingConfig) -> Vec<usize> {
         let mask = missing_region(rendered, frame, config);
-        let hits = mask.data().iter().enumerate().filter(|(_, missing)| **missing);
+        let hits = mask
+            .data()
+            .iter()
+            .enumerate()
+            .filter(|(_, missing)| **missing);
         hits.map(|(i, _)| i).collect()
     }
 

@@ -106,7 +106,9 @@ impl<'a> Seeder<'a> {
         let sigma_m = sigma_px * depth_m / focal_px;
         let stretched_m = sigma_m / cosine.max(MIN_COSINE);
         let q = world_from_disk.quaternion();
-        gaussians.means.push([mean.x as f32, mean.y as f32, mean.z as f32]);
+        gaussians
+            .means
+            .push([mean.x as f32, mean.y as f32, mean.z as f32]);
         gaussians
             .quats
             .push([q.w as f32, q.i as f32, q.j as f32, q.k as f32]);
@@ -115,7 +117,9 @@ impl<'a> Seeder<'a> {
             sigma_m.ln() as f32,
             THICKNESS_M.ln(),
         ]);
-        gaussians.opacity_logits.push((OPACITY / (1.0 - OPACITY)).ln());
+        gaussians
+            .opacity_logits
+            .push((OPACITY / (1.0 - OPACITY)).ln());
         let rgb = self.frame.color.at(u, v);
         gaussians
             .sh
@@ -232,7 +236,10 @@ mod tests {
         for i in 0..gaussians.len() {
             let rgb = gaussians.sh[i].map(|sh| 255.0 * (0.5 + SH0_FACTOR * f64::from(sh)));
             let mean = Vector3::from(gaussians.means[i]).cast();
-            let pixel = frame.camera.project(&camera_from_world.transform(&mean)).unwrap();
+            let pixel = frame
+                .camera
+                .project(&camera_from_world.transform(&mean))
+                .unwrap();
             assert!((pixel.x - rgb[0]).abs() <= 1e-3 && (pixel.y - rgb[1]).abs() <= 1e-3);
             assert!((rgb[2] - 255.0).abs() <= 1e-3);
             let (u, v) = (rgb[0].round() as usize, rgb[1].round() as usize);
@@ -283,6 +290,13 @@ mod tests {
         };
         let seeds = seeder.seeds(&missing, &[point]);
         assert_eq!(seeds.gaussians.len(), W / 2 * H / 2 - 2);
-        assert!(seeds.gaussians.means.iter().flatten().all(|x| x.is_finite()));
+        assert!(
+            seeds
+                .gaussians
+                .means
+                .iter()
+                .flatten()
+                .all(|x| x.is_finite())
+        );
     }
 }

@@ -125,6 +125,7 @@ pub fn run<E: Error + 'static>(
         Execution::Parallel => parallel(frames, &mut front, mapper)?,
         Execution::Realtime => realtime(frames, &mut front, mapper)?,
     };
+    worker.finish(front.finish().as_ref())?;
     Ok(SlamOutput {
         frames: front.frames,
         keyframes: front.keyframes,
@@ -171,13 +172,7 @@ impl Front<'_> {
     fn track(&mut self, frame: RgbdFrame, map: &MapSize) -> Option<Keyframe> {
         let frame = Arc::new(frame);
         let (tracked, keyframe) = self.tracker.track(&frame);
-        if let Some(keyframe) = &keyframe {
-            self.keyframes.push(KeyframeRecord {
-                index: frame.index,
-                kind: keyframe.kind,
-                world_from_camera: keyframe.world_from_camera,
-            });
-        }
+        self.record(keyframe.as_ref());
         self.observer.on(&SlamEvent::Frame {
             tracked: &tracked,
             keyframe: keyframe.as_ref().map(|keyframe| keyframe.kind),
@@ -186,6 +181,22 @@ impl Front<'_> {
         });
         self.frames.push(tracked);
         keyframe
+    }
+
+    /// The keyframe that closes the run, if any.
+    fn finish(&mut self) -> Option<Keyframe> {
+        let keyframe = self.tracker.finish();
+        self.record(keyframe.as_ref());
+        keyframe
+    }
+
+    fn record(&mut self, keyframe: Option<&Keyframe>) {
+        self.keyframes
+            .extend(keyframe.map(|keyframe| KeyframeRecord {
+                index: keyframe.frame.index,
+                kind: keyframe.kind,
+                world_from_camera: keyframe.world_from_camera,
+            }));
     }
 
     fn skip(&mut self, error: &(impl Error + 'static)) {
@@ -254,6 +265,16 @@ impl<M: GaussianModel> MapperWorker<M> {
             self.mapper.step()?;
         }
         Ok(self.report(start, map))
+    }
+
+    /// Takes in the keyframe that closes the run. It costs no optimisation step: those are spent.
+    fn finish(&mut self, keyframe: Option<&Keyframe>) -> Result<(), MapperError> {
+        let start = Instant::now();
+        if let Some(keyframe) = keyframe {
+            self.mapper.insert(keyframe)?;
+        }
+        self.busy += start.elapsed();
+        Ok(())
     }
 
     fn report(&mut self, start: Instant, map: &MapSize) -> SparseChanges {

@@ -71,6 +71,8 @@ pub struct Tracker {
     last: Option<Se3>,
     /// The motion from it to the frame after it, as far as known: `last_from_next`.
     motion: Se3,
+    /// The last trusted frame, unless it became a keyframe.
+    unmapped: Option<(Arc<RgbdFrame>, Se3)>,
 }
 
 impl Tracker {
@@ -84,6 +86,7 @@ impl Tracker {
             next_id: 0,
             last: None,
             motion: Se3::identity(),
+            unmapped: None,
             keyframe_config: config.keyframes.clone(),
             config: tracking,
         }
@@ -103,7 +106,11 @@ impl Tracker {
             (Some(_), None) => {}
         }
         self.last = world_from_camera.or(self.last);
-        let keyframe = world_from_camera.and_then(|pose| self.decide(frame, pose, &points));
+        let keyframe = world_from_camera.and_then(|pose| {
+            let keyframe = self.decide(frame, pose, &points);
+            self.unmapped = keyframe.is_none().then(|| (Arc::clone(frame), pose));
+            keyframe
+        });
         let tracked = Tracked {
             index: frame.index,
             timestamp_secs: frame.timestamp_secs,
@@ -118,6 +125,18 @@ impl Tracker {
             duration: start.elapsed(),
         };
         (tracked, keyframe)
+    }
+
+    /// The keyframe that the last trusted frame becomes when the recording ends, so that the map
+    /// reaches as far as the camera did; `None` if it already is one.
+    pub fn finish(&mut self) -> Option<Keyframe> {
+        let (frame, world_from_camera) = self.unmapped.take()?;
+        Some(Keyframe {
+            kind: KeyframeKind::Mapping,
+            frame,
+            world_from_camera,
+            new_points: Vec::new(),
+        })
     }
 
     /// Takes over what the mapper did to the sparse map.

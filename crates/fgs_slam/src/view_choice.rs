@@ -39,12 +39,14 @@ impl ViewChoice {
         min_share: f32,
         newest_first: usize,
     ) {
-        let (covisible, others): (Vec<_>, Vec<_>) =
-            covisibility.iter().partition(|(_, share)| *share > min_share);
+        let (covisible, others): (Vec<_>, Vec<_>) = covisibility
+            .iter()
+            .partition(|(_, share)| *share > min_share);
         self.covisible = covisible.into_iter().map(|(id, _)| id).collect();
         self.covisible.push(current);
         self.others = others.into_iter().map(|(id, _)| id).collect();
-        self.first.extend(std::iter::repeat_n(current, newest_first));
+        self.first
+            .extend(std::iter::repeat_n(current, newest_first));
     }
 
     /// A view is gone.
@@ -90,7 +92,10 @@ mod tests {
             counts[choice.draw().unwrap().0] += 1;
         }
         for (count, share) in counts.iter().zip([0.15, 0.15, 0.35, 0.35]) {
-            assert!((f64::from(*count) / 1e4 - share).abs() <= 0.015, "{counts:?}");
+            assert!(
+                (f64::from(*count) / 1e4 - share).abs() <= 0.015,
+                "{counts:?}"
+            );
         }
     }
 

@@ -8,8 +8,8 @@
 //! a gaussian that is not touched rests, moments included. A gaussian out of view would otherwise
 //! drift after the last view that saw it, and a step would cost the size of the map.
 
-use crate::{GaussianGradients, Gaussians};
 use crate::gaussians::retain;
+use crate::{GaussianGradients, Gaussians};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
@@ -138,51 +138,52 @@ impl Adam {
             return Err(AdamError::Touched { gaussians: len });
         }
 
-        let active: Vec<u32> = touched
+        let active: Vec<Active> = touched
             .par_iter()
             .with_min_len(CHUNK)
-            .copied()
-            .filter(|index| is_usable(gradients, *index as usize))
+            .filter(|index| is_usable(gradients, **index as usize))
+            .map(|index| Active::new(*index, self.steps[*index as usize]))
             .collect();
-        for index in &active {
-            let steps = &mut self.steps[*index as usize];
+        for gaussian in &active {
+            let steps = &mut self.steps[gaussian.index as usize];
             *steps = steps.saturating_add(1);
         }
 
         let (first, second) = (&mut self.first, &mut self.second);
-        let update = Update {
-            active: &active,
-            steps: &self.steps,
-        };
-        update.run(
+        update(
+            &active,
             rates.means,
             &mut gaussians.means,
             &gradients.d_means,
             &mut first.means,
             &mut second.means,
         );
-        update.run(
+        update(
+            &active,
             rates.quats,
             &mut gaussians.quats,
             &gradients.d_quats,
             &mut first.quats,
             &mut second.quats,
         );
-        update.run(
+        update(
+            &active,
             rates.log_scales,
             &mut gaussians.log_scales,
             &gradients.d_log_scales,
             &mut first.log_scales,
             &mut second.log_scales,
         );
-        update.run(
+        update(
+            &active,
             rates.opacity_logits,
             gaussians.opacity_logits.as_chunks_mut::<1>().0,
             gradients.d_opacity_logits.as_chunks::<1>().0,
             first.opacity_logits.as_chunks_mut::<1>().0,
             second.opacity_logits.as_chunks_mut::<1>().0,
         );
-        update.run(
+        update(
+            &active,
             rates.sh,
             &mut gaussians.sh,
             &gradients.d_sh,
@@ -203,240 +204,57 @@ fn is_usable(gradients: &GaussianGradients, i: usize) -> bool {
         && usable(&gradients.d_sh[i])
 }
 
-/// What the parameters' arrays have in common: the ascending indices of the gaussians to move, and
-/// every gaussian's number of steps, this one included.
-struct Update<'a> {
-    active: &'a [u32],
-    steps: &'a [u32],
+/// A gaussian to be moved, and the bias corrections of its step.
+struct Active {
+    index: u32,
+    /// `1 / (1 - beta_1^t)`, which the first moment is multiplied by.
+    first: f32,
+    /// `1 / sqrt(1 - beta_2^t)`, which the second moment's root is multiplied by.
+    second_root: f32,
 }
 
-impl Update<'_> {
-    fn run<const K: usize>(
-        &self,
-        rate: f32,
-        params: &mut [[f32; K]],
-        gradients: &[[f32; K]],
-        first: &mut [[f32; K]],
-        second: &mut [[f32; K]],
-    ) {
-        params
-            .par_chunks_mut(CHUNK)
-            .zip(first.par_chunks_mut(CHUNK))
-            .zip(second.par_chunks_mut(CHUNK))
-            .enumerate()
-            .for_each(|(chunk, ((params, first), second))| {
-                let start = chunk * CHUNK;
-                for index in self.active_in(start, start + params.len()) {
-                    let i = *index as usize;
-                    let local = i - start;
-                    let steps = self.steps[i].min(i32::MAX as u32) as i32;
-                    let first_correction = (1.0 - BETA_1.powi(steps)) as f32;
-                    let second_correction = (1.0 - BETA_2.powi(steps)) as f32;
-                    for k in 0..K {
-                        let gradient = gradients[i][k];
-                        let (m, v) = (&mut first[local][k], &mut second[local][k]);
-                        *m = BETA_1 as f32 * *m + (1.0 - BETA_1) as f32 * gradient;
-                        *v = BETA_2 as f32 * *v + (1.0 - BETA_2) as f32 * gradient * gradient;
-                        let m = *m / first_correction;
-                        let v = *v / second_correction;
-                        params[local][k] -= rate * m / (v.sqrt() + EPSILON);
-                    }
-                }
-            });
+impl Active {
+    fn new(index: u32, steps_before: u32) -> Self {
+        let steps = steps_before.min(i32::MAX as u32 - 1) as i32 + 1;
+        Self {
+            index,
+            first: (1.0 - BETA_1.powi(steps)).recip() as f32,
+            second_root: (1.0 - BETA_2.powi(steps)).sqrt().recip() as f32,
+        }
     }
+}
 
-    /// The active indices from `start` to before `end`.
-    fn active_in(&self, start: usize, end: usize) -> &[u32] {
-        let from = self.active.partition_point(|i| (*i as usize) < start);
-        let to = self.active.partition_point(|i| (*i as usize) < end);
-        &self.active[from..to]
-    }
+/// One step of one of the parameters' arrays. `active` ascends.
+fn update<const K: usize>(
+    active: &[Active],
+    rate: f32,
+    params: &mut [[f32; K]],
+    gradients: &[[f32; K]],
+    first: &mut [[f32; K]],
+    second: &mut [[f32; K]],
+) {
+    params
+        .par_chunks_mut(CHUNK)
+        .zip(first.par_chunks_mut(CHUNK))
+        .zip(second.par_chunks_mut(CHUNK))
+        .enumerate()
+        .for_each(|(chunk, ((params, first), second))| {
+            let start = chunk * CHUNK;
+            let position = |end| active.partition_point(|a| (a.index as usize) < end);
+            for gaussian in &active[position(start)..position(start + params.len())] {
+                let i = gaussian.index as usize;
+                let local = i - start;
+                for k in 0..K {
+                    let gradient = gradients[i][k];
+                    let (m, v) = (&mut first[local][k], &mut second[local][k]);
+                    *m = BETA_1 as f32 * *m + (1.0 - BETA_1) as f32 * gradient;
+                    *v = BETA_2 as f32 * *v + (1.0 - BETA_2) as f32 * gradient * gradient;
+                    let root = v.sqrt() * gaussian.second_root;
+                    params[local][k] -= rate * gaussian.first * *m / (root + EPSILON);
+                }
+            }
+        });
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use rand::{RngExt, SeedableRng};
-    use rand_pcg::Pcg64Mcg;
-
-    const RATES: [f32; 14] = [
-        2.5e-6, 2.5e-6, 2.5e-6, 1e-2, 1e-2, 1e-2, 1e-2, 5e-3, 5e-3, 5e-3, 0.05, 3.5e-3, 3.5e-3,
-        3.5e-3,
-    ];
-
-    /// All parameters of gaussian i, in the order of [`RATES`].
-    fn params(gaussians: &Gaussians, i: usize) -> [f32; 14] {
-        let g = gaussians;
-        let logit = [g.opacity_logits[i]];
-        let parts: [&[f32]; 5] = [&g.means[i], &g.quats[i], &g.log_scales[i], &logit, &g.sh[i]];
-        parts.concat().try_into().unwrap()
-    }
-
-    fn random(rng: &mut Pcg64Mcg, len: usize, scale: f32) -> Gaussians {
-        let mut random = Gaussians::zeros(len);
-        let arrays: [&mut [f32]; 5] = [
-            random.means.as_flattened_mut(),
-            random.quats.as_flattened_mut(),
-            random.log_scales.as_flattened_mut(),
-            &mut random.opacity_logits,
-            random.sh.as_flattened_mut(),
-        ];
-        for value in arrays.into_iter().flatten() {
-            *value = scale * rng.random_range(-1.0f32..1.0);
-        }
-        random
-    }
-
-    /// One parameter under Adam as in the paper, in f64.
-    #[derive(Clone, Default)]
-    struct Textbook {
-        m: f64,
-        v: f64,
-        t: i32,
-    }
-
-    impl Textbook {
-        fn step(&mut self, gradient: f64, rate: f64) -> f64 {
-            self.t += 1;
-            self.m = 0.9 * self.m + 0.1 * gradient;
-            self.v = 0.999 * self.v + 0.001 * gradient * gradient;
-            let m = self.m / (1.0 - 0.9f64.powi(self.t));
-            let v = self.v / (1.0 - 0.999f64.powi(self.t));
-            -rate * m / (v.sqrt() + 1e-15)
-        }
-    }
-
-    /// Steps with random touched sets while the map grows and shrinks; each gaussian must move
-    /// as the textbook moves it over the steps that touched it.
-    #[test]
-    fn follows_the_textbook_per_gaussian() {
-        let mut rng = Pcg64Mcg::seed_from_u64(1);
-        let (mut gaussians, mut adam) = (Gaussians::default(), Adam::default());
-        let mut textbook: Vec<[Textbook; 14]> = vec![];
-        let mut moved: Vec<[f64; 14]> = vec![];
-        for step in 0..60 {
-            if step % 20 == 0 {
-                gaussians.extend(&Gaussians::zeros(40));
-                adam.extend(40);
-                textbook.resize(adam.len(), Default::default());
-                moved.resize(adam.len(), [0.0; 14]);
-            }
-            if step % 20 == 10 {
-                let keep: Vec<bool> = (0..adam.len()).map(|_| rng.random_bool(0.7)).collect();
-                gaussians.retain(&keep);
-                adam.retain(&keep);
-                retain(&mut textbook, &keep);
-                retain(&mut moved, &keep);
-            }
-            let len = adam.len();
-            let gradients = random(&mut rng, len, 1e-6);
-            let touched: Vec<u32> = (0..len as u32).filter(|_| rng.random_bool(0.5)).collect();
-            let rates = LearningRates::default();
-            assert_eq!(
-                adam.step(&mut gaussians, &gradients, &touched, &rates),
-                Ok(0)
-            );
-            for i in touched.iter().map(|i| *i as usize) {
-                let gradient = params(&gradients, i);
-                for k in 0..14 {
-                    moved[i][k] += textbook[i][k].step(gradient[k].into(), RATES[k].into());
-                }
-            }
-        }
-        for i in 0..adam.len() {
-            let actual = params(&gaussians, i);
-            for k in 0..14 {
-                let error = (f64::from(actual[k]) - moved[i][k]).abs();
-                assert!(error <= 1e-4 * f64::from(RATES[k]), "{i} {k} {error}");
-            }
-        }
-        assert_eq!((gaussians.len(), textbook.len()), (adam.len(), adam.len()));
-    }
-
-    #[test]
-    fn first_step_is_the_learning_rate() {
-        let mut gaussians = Gaussians::zeros(3);
-        let mut adam = Adam::default();
-        adam.extend(3);
-        let gradients = random(&mut Pcg64Mcg::seed_from_u64(2), 3, 1e-6);
-        let rates = LearningRates::default();
-        assert_eq!(adam.step(&mut gaussians, &gradients, &[1], &rates), Ok(0));
-        for (k, moved) in params(&gaussians, 1).into_iter().enumerate() {
-            let expected = -RATES[k] * params(&gradients, 1)[k].signum();
-            assert!((moved - expected).abs() <= 1e-5 * RATES[k], "{k}");
-        }
-        assert_eq!(params(&gaussians, 0), [0.0; 14]);
-        assert_eq!(params(&gaussians, 2), [0.0; 14]);
-    }
-
-    #[test]
-    fn gradients_that_are_not_finite_rest_and_are_counted() {
-        let mut rng = Pcg64Mcg::seed_from_u64(3);
-        let before = random(&mut rng, 7, 1.0);
-        let mut gradients = random(&mut rng, 7, 1.0);
-        gradients.means[0][2] = f32::NAN;
-        gradients.quats[1][3] = f32::INFINITY;
-        gradients.log_scales[2][1] = f32::NEG_INFINITY;
-        gradients.opacity_logits[3] = 1e30;
-        gradients.sh[4][0] = f32::NAN;
-        gradients.sh[5] = [1e19, 1e-40, 0.0];
-        let (mut gaussians, mut adam) = (before.clone(), Adam::default());
-        adam.extend(7);
-        let touched = [0, 1, 2, 3, 4, 5];
-        let rates = LearningRates::default();
-        let untouched = adam.clone();
-        assert_eq!(
-            adam.step(&mut gaussians, &gradients, &touched, &rates),
-            Ok(5)
-        );
-        for i in 0..7 {
-            let rests = params(&gaussians, i) == params(&before, i);
-            assert_eq!(rests, i != 5, "{i}");
-            assert!(params(&gaussians, i).iter().all(|x| x.is_finite()));
-        }
-        let all_but_5: Vec<bool> = (0..7).map(|i| i != 5).collect();
-        adam.retain(&all_but_5);
-        let mut expected = untouched;
-        expected.retain(&all_but_5);
-        assert_eq!(adam, expected);
-    }
-
-    #[test]
-    fn wrong_lengths_and_indices_are_refused() {
-        let (mut gaussians, mut adam) = (Gaussians::zeros(3), Adam::default());
-        let (gradients, rates) = (Gaussians::zeros(3), LearningRates::default());
-        let length = adam.step(&mut gaussians, &gradients, &[], &rates);
-        assert!(matches!(length, Err(AdamError::Length { adam: 0, .. })));
-        adam.extend(3);
-        for touched in [&[3][..], &[1, 1], &[2, 0]] {
-            let result = adam.step(&mut gaussians, &gradients, touched, &rates);
-            assert_eq!(result, Err(AdamError::Touched { gaussians: 3 }));
-        }
-        assert_eq!(
-            adam.step(&mut gaussians, &gradients, &[0, 2], &rates),
-            Ok(0)
-        );
-        assert_eq!(gaussians, Gaussians::zeros(3));
-    }
-
-    #[test]
-    fn any_number_of_threads_gives_the_same_bits() {
-        let mut rng = Pcg64Mcg::seed_from_u64(4);
-        let (before, gradients) = (random(&mut rng, 9000, 1.0), random(&mut rng, 9000, 1.0));
-        let touched: Vec<u32> = (0..9000).filter(|i| i % 3 != 0).collect();
-        let run = |threads| {
-            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build();
-            pool.unwrap().install(|| {
-                let (mut gaussians, mut adam) = (before.clone(), Adam::default());
-                adam.extend(9000);
-                for _ in 0..3 {
-                    let rates = LearningRates::default();
-                    adam.step(&mut gaussians, &gradients, &touched, &rates)
-                        .unwrap();
-                }
-                (gaussians, adam)
-            })
-        };
-        assert_eq!(run(1), run(5));
-    }
-}
+mod tests;

@@ -132,10 +132,7 @@ impl GaussianModel for CpuModel {
     }
 
     fn step(&mut self, id: ViewId) -> Result<(), ModelError> {
-        let training = self
-            .views
-            .get_mut(&id)
-            .ok_or(ModelError::NoSuchView(id))?;
+        let training = self.views.get_mut(&id).ok_or(ModelError::NoSuchView(id))?;
         let mut pass = self.rasterizer.render(&self.gaussians, &training.view);
         let rendered = pass.rendered();
         let loss = photometric_loss(
@@ -179,7 +176,11 @@ impl GaussianModel for CpuModel {
     }
 
     fn covisibility(&mut self, id: ViewId) -> Result<Vec<(ViewId, f32)>, ModelError> {
-        let own = &self.views.get(&id).ok_or(ModelError::NoSuchView(id))?.visible;
+        let own = &self
+            .views
+            .get(&id)
+            .ok_or(ModelError::NoSuchView(id))?
+            .visible;
         let count = own.count().max(1) as f32;
         let others = self.views.iter().filter(|(other, _)| **other != id);
         Ok(others

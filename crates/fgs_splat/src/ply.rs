@@ -39,8 +39,8 @@ pub enum PlyError {
         /// What the system says.
         source: io::Error,
     },
-    /// The file is not PLY.
-    #[error("{}: {source}", path.display())]
+    /// The file is not PLY. (The parser's message goes on for lines; the first one says it.)
+    #[error("{}: {}", path.display(), source.to_string().lines().next().unwrap_or_default())]
     Parse {
         /// The file.
         path: PathBuf,

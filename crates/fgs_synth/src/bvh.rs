@@ -15,6 +15,8 @@ const MARGIN_M: f64 = 1e-4;
 const STACK: usize = 64;
 
 type Bounds = [Vector3<f64>; 2];
+/// A solid's index and box.
+type Item = (usize, Bounds);
 
 #[derive(Clone, Copy)]
 enum Child {
@@ -65,7 +67,7 @@ pub(crate) struct Bvh {
 
 impl Bvh {
     pub fn new(solids: &[Solid]) -> Self {
-        let mut items: Vec<(usize, Bounds)> = (solids.iter().enumerate())
+        let mut items: Vec<Item> = (solids.iter().enumerate())
             .map(|(index, solid)| (index, solid.bounds()))
             .collect();
         let mut nodes = Vec::new();
@@ -115,7 +117,7 @@ impl Bvh {
 }
 
 /// Appends the tree over `items` and returns its root.
-fn build(items: &mut [(usize, Bounds)], nodes: &mut Vec<Node>) -> usize {
+fn build(items: &mut [Item], nodes: &mut Vec<Node>) -> usize {
     let index = nodes.len();
     nodes.push(Node {
         low: [[f32::INFINITY; WIDTH]; 3],
@@ -137,7 +139,7 @@ fn build(items: &mut [(usize, Bounds)], nodes: &mut Vec<Node>) -> usize {
         }
     }
     for (i, group) in groups.into_iter().enumerate() {
-        let Some(bounds) = group.iter().map(|(_, bounds)| *bounds).reduce(union) else {
+        let Some([low, high]) = group.iter().map(|(_, bounds)| *bounds).reduce(union) else {
             continue;
         };
         let child = match &*group {
@@ -147,8 +149,8 @@ fn build(items: &mut [(usize, Bounds)], nodes: &mut Vec<Node>) -> usize {
         let node = &mut nodes[index];
         node.children[i] = child;
         for axis in 0..3 {
-            node.low[axis][i] = (bounds[0][axis] - MARGIN_M) as f32;
-            node.high[axis][i] = (bounds[1][axis] + MARGIN_M) as f32;
+            node.low[axis][i] = (low[axis] - MARGIN_M) as f32;
+            node.high[axis][i] = (high[axis] + MARGIN_M) as f32;
         }
     }
     index
@@ -163,18 +165,18 @@ fn half_area([low, high]: &Bounds) -> f64 {
     size.x * size.y + size.y * size.z + size.z * size.x
 }
 
-fn sort_along(items: &mut [(usize, Bounds)], axis: usize) {
+fn sort_along(items: &mut [Item], axis: usize) {
     let center = |[low, high]: &Bounds| low[axis] + high[axis];
     items.sort_by(|a, b| center(&a.1).total_cmp(&center(&b.1)));
 }
 
 /// Two parts, neither empty, of two items or more, with the least sum of surface area times
 /// items.
-fn split(items: &mut [(usize, Bounds)]) -> (&mut [(usize, Bounds)], &mut [(usize, Bounds)]) {
+fn split(items: &mut [Item]) -> (&mut [Item], &mut [Item]) {
     let (mut least, mut best_axis, mut best_count) = (f64::INFINITY, 0, items.len() / 2);
     for axis in 0..3 {
         sort_along(items, axis);
-        let running_area = |so_far: &mut Option<Bounds>, (_, next): &(usize, Bounds)| {
+        let running_area = |so_far: &mut Option<Bounds>, (_, next): &Item| {
             let bounds = so_far.map_or(*next, |bounds| union(bounds, *next));
             *so_far = Some(bounds);
             Some(half_area(&bounds))

@@ -8,6 +8,7 @@ use rand::RngExt;
 use rand::seq::SliceRandom;
 
 use crate::builder::{Builder, Place};
+use crate::decor;
 use crate::furniture as f;
 use crate::pattern::{Pattern, Rgb, srgb};
 
@@ -41,7 +42,7 @@ impl Item {
         let middle = 0.5 * self.width();
         let above = |b: &mut Builder, z: f64, tall: f64| {
             let size = [b.between(1.1, 1.6) * tall, tall];
-            f::painting(b, at.at([middle, 0.0, z], 0.0), size);
+            decor::painting(b, at.at([middle, 0.0, z], 0.0), size);
         };
         match self {
             Self::Bookcase => {
@@ -183,9 +184,9 @@ fn corners(b: &mut Builder, size: &Vector3<f64>) {
     let mut points = [[-x, -y, 0.0], [x, -y, 0.0], [x, y, 0.0], [-x, y, 0.0]];
     points.shuffle(&mut b.rng);
     let [first, second, third, fourth] = points.map(|point| Place::new(point, 0.0));
-    f::floor_lamp(b, first);
-    f::plant(b, second);
-    f::plant(b, third);
+    decor::floor_lamp(b, first);
+    decor::plant(b, second);
+    decor::plant(b, third);
     // Packing cases with labels.
     let card = Pattern::Print {
         paper: srgb(0xb08a5e),
@@ -238,7 +239,7 @@ fn middle(b: &mut Builder, height: f64, kind: u64, wood: Rgb) {
     let top = if kind == 2 { 0.75 } else { 0.45 };
     for x in [-0.35, 0.0, 0.33] {
         let (y, yaw) = (b.between(-0.12, 0.12), b.between(-PI, PI));
-        f::ornament(b, at.at([x, y, top], yaw));
+        decor::ornament(b, at.at([x, y, top], yaw));
     }
-    f::pendant(b, world, height);
+    decor::pendant(b, world, height);
 }

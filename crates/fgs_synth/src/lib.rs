@@ -13,6 +13,7 @@
 
 mod builder;
 mod bvh;
+mod decor;
 mod furniture;
 mod layout;
 mod light;

@@ -16,7 +16,7 @@ use crate::room::Room;
 use crate::shape::{Ray, Solid};
 
 /// Side of a grid cell, metres: shadows of furniture are about that soft.
-const CELL_M: f64 = 0.06;
+const CELL_M: f64 = 0.08;
 /// Shadow rays to each lamp.
 const LAMP_RAYS: usize = 10;
 /// Bounce rays are stratified in this many rows and columns.
@@ -294,5 +294,39 @@ impl Grid {
             (count > 0).then(|| sum / count as f32)
         };
         (0..columns * rows).map(mean).collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::builder::{self, Builder};
+    use crate::pattern::Pattern;
+
+    /// A bare floor, a small lamp 1 m above its middle, and a shelf that shades one side.
+    #[test]
+    fn light_falls_off_and_casts_shadows() {
+        let mut b = Builder::new(Pcg64Mcg::seed_from_u64(1));
+        let at = builder::Place::new([0.0; 3], 0.0);
+        let grey = Pattern::Paint(Rgb::repeat(0.5));
+        b.block(at, [-2.0, -2.0, -0.1], [2.0, 2.0, 0.0], grey);
+        b.block(
+            at,
+            [0.6, -2.0, 0.5],
+            [2.0, 2.0, 0.52],
+            Pattern::Paint(Rgb::zeros()),
+        );
+        b.lamp(at, [0.0, 0.0, 1.0], [0.01; 3], Rgb::repeat(3.0));
+        let room = Room::light_up(b, Vector3::zeros(), 1);
+        let map = LightMap::bake(&room, 1);
+        // The floor's top is face 5, its corner at (-2, -2).
+        let at = |x: f64, y: f64| map.at(0, 5, [x + 2.0, y + 2.0]).x;
+        let middle = at(0.0, 0.0);
+        for (x, y) in [(-1.0, 0.0), (0.0, 0.8), (-1.0, -1.0)] {
+            // cos / d^2, d^2 = 1 + x^2 + y^2
+            let expected = (1.0_f64 + x * x + y * y).powf(-1.5) as f32;
+            assert!((at(x, y) / middle - expected).abs() <= 0.03, "{x} {y}");
+        }
+        assert!(at(1.6, 0.0) <= 0.02 * middle);
     }
 }

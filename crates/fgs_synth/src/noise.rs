@@ -86,5 +86,9 @@ mod tests {
         let fine = |footprint| fbm([0.4, 0.3], 1, 0.01, 3, footprint);
         assert_eq!(fine(0.01), 0.0);
         assert!(fine(0.0001).abs() > 0.0);
+        // Half-way between 1.5 and 3 pixels a wave, half of it is left.
+        let octave = |footprint| fbm([0.43, 0.31], 1, 0.1, 1, footprint);
+        assert!((octave(0.1 / 2.25) - 0.5 * octave(1e-4)).abs() <= 1e-6);
+        assert!(octave(1e-4).abs() >= 0.01);
     }
 }

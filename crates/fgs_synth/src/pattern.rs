@@ -283,7 +283,7 @@ fn inked(x: f32, y: f32, seed: u32) -> bool {
     let (row, column) = (y.floor() as i32, (2.0 * x).floor() as i32);
     let (a, b) = ((2.0 * x).rem_euclid(1.0), y.rem_euclid(1.0));
     let letter = crate::noise::hash(column, row, seed);
-    let gap = letter % 6 == 0;
+    let gap = letter.is_multiple_of(6);
     if gap || !(0.15..0.85).contains(&a) || !(0.2..0.85).contains(&b) {
         return false;
     }

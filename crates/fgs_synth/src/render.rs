@@ -1,10 +1,10 @@
 //! Pictures of a room: exact depth at pixel centres and anti-aliased linear colour.
 //!
-//! Each pixel averages its centre and its four corners (shared with its neighbours); where these
-//! disagree, 3x3 samples instead. Every pixel is a function of the scene alone, so any number of
-//! threads gives the same picture.
+//! Each pixel averages its centre and its four corners (shared with its neighbours) and, where
+//! these disagree, the middles of its sides. Every pixel is a function of the scene alone, so any
+//! number of threads gives the same picture.
 
-use fgs_geom::{Camera, Image, View};
+use fgs_geom::{Camera, Image, Se3, View};
 use nalgebra::{Matrix3, Vector3};
 use rayon::prelude::*;
 
@@ -18,20 +18,29 @@ const CONTRAST: f32 = 0.1;
 /// Darkness below which differences do not matter: two 8-bit steps near black.
 const DARK: f32 = 0.02;
 
-/// How finely colour is sampled.
-#[derive(Clone, Copy, PartialEq)]
-pub(crate) enum Sampling {
-    /// Five samples a pixel, nine more where they disagree.
-    Fine,
-    /// Five samples a pixel: enough where pictures are averaged over a camera's motion.
-    Fast,
-}
-
 /// Linear radiance and depth.
 pub(crate) struct Picture {
     pub radiance: Image<Rgb>,
     /// Depth along z, metres; 0: nothing met.
     pub depth_m: Image<f32>,
+}
+
+impl Picture {
+    fn black(camera: &Camera) -> Self {
+        Self {
+            radiance: Image::filled(camera.width, camera.height, Rgb::zeros()),
+            depth_m: Image::filled(camera.width, camera.height, 0.0),
+        }
+    }
+
+    /// Calls `fill` with each row's number, radiance and depth.
+    fn for_each_row(&mut self, fill: impl Fn(usize, &mut [Rgb], &mut [f32]) + Sync) {
+        let width = self.radiance.width();
+        (self.radiance.data_mut().par_chunks_mut(width))
+            .zip(self.depth_m.data_mut().par_chunks_mut(width))
+            .enumerate()
+            .for_each(|(v, (radiance, depth_m))| fill(v, radiance, depth_m));
+    }
 }
 
 #[derive(Clone, Copy)]
@@ -49,7 +58,17 @@ struct Tracer<'a> {
     world_from_camera: Matrix3<f64>,
 }
 
-impl Tracer<'_> {
+impl<'a> Tracer<'a> {
+    fn new(room: &'a Room, view: &View) -> Self {
+        let rotation = view.world_from_camera.rotation.to_rotation_matrix();
+        Self {
+            room,
+            camera: view.camera,
+            origin: view.world_from_camera.translation,
+            world_from_camera: rotation.into_inner(),
+        }
+    }
+
     /// The ray through a point of the image: z = 1 in camera axes, so that t is depth.
     fn ray(&self, u: f64, v: f64) -> Ray {
         Ray {
@@ -86,7 +105,8 @@ impl Tracer<'_> {
         Some(self.shade(&ray, &Hit { t, solid, face }))
     }
 
-    fn row(&self, width: usize, v: f64, left: f64) -> Vec<Sample> {
+    /// Samples one pixel apart, the first at [u, v].
+    fn row(&self, width: usize, [left, v]: [f64; 2]) -> Vec<Sample> {
         let mut likely = None;
         (0..width)
             .map(|u| {
@@ -97,65 +117,86 @@ impl Tracer<'_> {
             .collect()
     }
 
-    /// The mean of 3x3 samples about a pixel's centre, which is one of them. With one face in all
-    /// of the pixel only its pattern varies, and nothing else needs to be looked for.
-    fn finely(&self, u: usize, v: usize, center: &Sample, is_one_face: bool) -> Rgb {
+    /// The sum of radiance at the middles of a pixel's sides. With one face in all of the pixel
+    /// only its pattern varies, and nothing else needs to be looked for.
+    fn sides(&self, u: usize, v: usize, center: &Sample, is_one_face: bool) -> Rgb {
         let solid = center.met.map(|(solid, _)| solid);
-        let mut sum = center.radiance;
-        for i in (0..9).filter(|&i| i != 4) {
-            let u = u as f64 + f64::from(i % 3 - 1) / 3.0;
-            let v = v as f64 + f64::from(i / 3 - 1) / 3.0;
-            let known = solid.filter(|_| is_one_face);
-            sum += (known.and_then(|solid| self.sample_solid(u, v, solid)))
-                .unwrap_or_else(|| self.sample(u, v, solid).radiance);
-        }
-        sum / 9.0
+        [(-0.5, 0.0), (0.5, 0.0), (0.0, -0.5), (0.0, 0.5)]
+            .map(|(du, dv)| {
+                let (u, v) = (u as f64 + du, v as f64 + dv);
+                let known = solid.filter(|_| is_one_face);
+                (known.and_then(|solid| self.sample_solid(u, v, solid)))
+                    .unwrap_or_else(|| self.sample(u, v, solid).radiance)
+            })
+            .iter()
+            .sum()
     }
 }
 
 /// The room seen from a view.
-pub(crate) fn render(room: &Room, view: &View, sampling: Sampling) -> Picture {
+pub(crate) fn render(room: &Room, view: &View) -> Picture {
     let Camera { width, height, .. } = view.camera;
-    let tracer = Tracer {
-        room,
-        camera: view.camera,
-        origin: view.world_from_camera.translation,
-        world_from_camera: view
-            .world_from_camera
-            .rotation
-            .to_rotation_matrix()
-            .into_inner(),
-    };
+    let tracer = Tracer::new(room, view);
     let corners: Vec<Vec<Sample>> = (0..height + 1)
         .into_par_iter()
-        .map(|v| tracer.row(width + 1, v as f64 - 0.5, -0.5))
+        .map(|v| tracer.row(width + 1, [-0.5, v as f64 - 0.5]))
         .collect();
-    let mut radiance = Image::filled(width, height, Rgb::zeros());
-    let mut depth_m = Image::filled(width, height, 0.0);
-    (radiance.data_mut().par_chunks_mut(width))
-        .zip(depth_m.data_mut().par_chunks_mut(width))
-        .enumerate()
-        .for_each(|(v, (radiance, depth_m))| {
-            let centers = tracer.row(width, v as f64, 0.0);
-            for (u, center) in centers.iter().enumerate() {
-                let around = [
-                    &corners[v][u],
-                    &corners[v][u + 1],
-                    &corners[v + 1][u],
-                    &corners[v + 1][u + 1],
-                ];
-                depth_m[u] = center.depth as f32;
-                let is_one_face = around.iter().all(|corner| corner.met == center.met);
-                let is_even = is_one_face && around.iter().all(|corner| is_close(center, corner));
-                radiance[u] = if is_even || sampling == Sampling::Fast {
-                    let sum: Rgb = around.iter().map(|corner| corner.radiance).sum();
-                    0.5 * center.radiance + 0.125 * sum
-                } else {
-                    tracer.finely(u, v, center, is_one_face)
-                };
+    let mut picture = Picture::black(&view.camera);
+    picture.for_each_row(|v, radiance, depth_m| {
+        let centers = tracer.row(width, [0.0, v as f64]);
+        for (u, center) in centers.iter().enumerate() {
+            let around = [
+                &corners[v][u],
+                &corners[v][u + 1],
+                &corners[v + 1][u],
+                &corners[v + 1][u + 1],
+            ];
+            let is_one_face = around.iter().all(|corner| corner.met == center.met);
+            let is_even = is_one_face && around.iter().all(|corner| is_close(center, corner));
+            let sum: Rgb = around.iter().map(|corner| corner.radiance).sum();
+            depth_m[u] = center.depth as f32;
+            // Weights of a tent over the pixel.
+            radiance[u] = if is_even {
+                0.5 * center.radiance + 0.125 * sum
+            } else {
+                let sides = tracer.sides(u, v, center, is_one_face);
+                0.25 * center.radiance + 0.125 * sides + 0.0625 * sum
+            };
+        }
+    });
+    picture
+}
+
+/// The room seen in passing: the mean of one picture for each pose, each sampled at one point of
+/// every pixel, the points spread over the pixel. Depth is that of the middle pose, whose point is
+/// the pixel's centre.
+pub(crate) fn render_moving(room: &Room, camera: &Camera, poses: &[Se3]) -> Picture {
+    let middle = poses.len() / 2;
+    let mut picture = Picture::black(camera);
+    for (moment, &world_from_camera) in poses.iter().enumerate() {
+        let view = View {
+            camera: *camera,
+            world_from_camera,
+        };
+        let tracer = Tracer::new(room, &view);
+        // A lattice that covers the pixel evenly: rows by turns, columns in steps of 2.
+        let part = |k: usize| (k % poses.len()) as f64 / poses.len() as f64;
+        let [du, dv] = [
+            2 * (moment + poses.len() - middle),
+            moment + poses.len() - middle,
+        ]
+        .map(|k| (part(k) + 0.5).fract() - 0.5);
+        picture.for_each_row(|v, radiance, depth_m| {
+            let samples = tracer.row(camera.width, [du, v as f64 + dv]);
+            for (u, sample) in samples.iter().enumerate() {
+                radiance[u] += sample.radiance / poses.len() as f32;
+                if moment == middle {
+                    depth_m[u] = sample.depth as f32;
+                }
             }
         });
-    Picture { radiance, depth_m }
+    }
+    picture
 }
 
 fn is_close(a: &Sample, b: &Sample) -> bool {

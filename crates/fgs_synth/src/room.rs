@@ -35,6 +35,7 @@ pub(crate) struct Hit {
 /// A closed room with furniture, in metres: z up, the middle of the floor at the origin.
 pub struct Room {
     size: Vector3<f64>,
+    /// Finishes belong to solids by index.
     pub(crate) solids: Vec<Solid>,
     pub(crate) finishes: Vec<Finish>,
     pub(crate) lamps: Vec<Lamp>,
@@ -48,6 +49,11 @@ impl Room {
     pub fn new(seed: u64) -> Self {
         let mut builder = Builder::new(Pcg64Mcg::seed_from_u64(seed));
         let size = layout::furnish(&mut builder, seed % 3);
+        Self::light_up(builder, size, seed)
+    }
+
+    /// The room of what a builder has put together.
+    pub(crate) fn light_up(builder: Builder, size: Vector3<f64>, seed: u64) -> Self {
         let Builder {
             solids,
             finishes,

@@ -76,8 +76,11 @@ impl SensorModel {
         seed: u64,
         frame: usize,
     ) -> Image<f32> {
-        let width = exact.width();
         let mut measured = exact.clone();
+        if !self.spoils_depth() {
+            return measured;
+        }
+        let width = exact.width();
         (measured.data_mut().par_chunks_mut(width.max(1)))
             .enumerate()
             .for_each(|(v, row)| {
@@ -87,6 +90,15 @@ impl SensorModel {
                 }
             });
         measured
+    }
+
+    fn spoils_depth(&self) -> bool {
+        let exact = Self::exact();
+        self.depth_noise != exact.depth_noise
+            || self.edge_jitter_px != exact.edge_jitter_px
+            || self.depth_step_per_m != exact.depth_step_per_m
+            || self.range_m != exact.range_m
+            || self.holes
     }
 
     fn measure_pixel(
@@ -226,15 +238,15 @@ mod tests {
     }
 
     #[test]
-    fn an_exact_sensor_changes_nothing() {
-        let depth = Image::from_fn(KINECT.width, KINECT.height, |u, v| {
-            0.1 + (u * v) as f32 * 1e-4
-        });
-        assert_eq!(SensorModel::exact().measure(&depth, &KINECT, 1, 2), {
-            let mut depth = depth.clone();
-            depth.data_mut().iter_mut().for_each(|d| *d *= 1.0);
-            depth
-        });
+    fn an_exact_sensor_changes_nothing_and_range_alone_keeps_the_rest() {
+        let depth = Image::from_fn(640, 480, |u, v| 0.1 + (u + v) as f32 * 1e-3);
+        assert_eq!(SensorModel::exact().measure(&depth, &KINECT, 1, 2), depth);
+        let cut = SensorModel {
+            range_m: [0.3, 0.9],
+            ..SensorModel::exact()
+        };
+        let expected = depth.map(|d| if (0.3..=0.9).contains(d) { *d } else { 0.0 });
+        assert_eq!(cut.measure(&depth, &KINECT, 1, 2), expected);
     }
 
     #[test]

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use fgs_geom::{Camera, CameraError, FrameIndex, Intrinsics, RgbdFrame, Se3, View};
 
 use crate::path::{CameraPath, FRAMES_PER_LOOP};
-use crate::render::{Picture, Sampling, render};
+use crate::render::{Picture, render, render_moving};
 use crate::room::Room;
 use crate::sensor::SensorModel;
 
@@ -72,6 +72,14 @@ impl Sequence {
         }
     }
 
+    /// The same recording by another camera; shares the room.
+    pub fn with_camera(&self, camera: Camera) -> Self {
+        Self {
+            camera,
+            ..self.clone()
+        }
+    }
+
     /// Number of frames.
     pub fn len(&self) -> usize {
         self.len
@@ -120,30 +128,20 @@ impl Sequence {
 
     /// Exact depth at the middle of the exposure, and the mean radiance over it.
     fn exposed(&self, index: usize) -> Picture {
-        /// Pictures averaged: at most a pixel apart at a normal pace. Odd, so that one is in the
+        /// Moments averaged: at most a pixel apart at a normal pace. Odd, so that one is in the
         /// middle.
         const MOMENTS: usize = 5;
-        let picture_at = |frame: f64, sampling| {
+        if self.sensor.shutter == 0.0 {
             let view = View {
                 camera: self.camera,
-                world_from_camera: self.pose_at(frame),
+                world_from_camera: self.world_from_camera(index),
             };
-            render(&self.room, &view, sampling)
-        };
-        if self.sensor.shutter == 0.0 {
-            return picture_at(index as f64, Sampling::Fine);
+            return render(&self.room, &view);
         }
-        let mut middle = picture_at(index as f64, Sampling::Fast);
-        for moment in (0..MOMENTS).filter(|&moment| moment != MOMENTS / 2) {
-            let offset = (moment as f64 + 0.5) / MOMENTS as f64 - 0.5;
-            let other = picture_at(index as f64 + self.sensor.shutter * offset, Sampling::Fast);
-            let sums = middle.radiance.data_mut().iter_mut();
-            sums.zip(other.radiance.data())
-                .for_each(|(sum, r)| *sum += r);
-        }
-        for radiance in middle.radiance.data_mut() {
-            *radiance /= MOMENTS as f32;
-        }
-        middle
+        let poses: [Se3; MOMENTS] = std::array::from_fn(|moment| {
+            let offset = moment as f64 - (MOMENTS / 2) as f64;
+            self.pose_at(index as f64 + self.sensor.shutter * offset / MOMENTS as f64)
+        });
+        render_moving(&self.room, &self.camera, &poses)
     }
 }

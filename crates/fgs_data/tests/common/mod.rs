@@ -2,6 +2,7 @@
 
 // Each test file uses its own part of this.
 #![allow(dead_code)]
+#![allow(clippy::unwrap_used)]
 
 use std::fmt::Write as _;
 use std::fs;

@@ -141,7 +141,10 @@ impl PointMap {
                 let next = found.next_squared_distance.sqrt().min(distance + margin_m);
                 (Some(slot), 0.5 * (next - distance))
             }
-            _ => (None, distance.min(max_distance_m + margin_m) - max_distance_m),
+            _ => (
+                None,
+                distance.min(max_distance_m + margin_m) - max_distance_m,
+            ),
         };
         // Distances are rounded like the coordinates that they come from.
         let rounding = 4.0 * f32::EPSILON * (query.amax() + max_distance_m);
@@ -171,15 +174,14 @@ impl PointMap {
             let Some(points) = self.cells.get(&cell) else {
                 return;
             };
-            points.for_groups_within(
-                query,
-                limit,
-                |squared_distances, slots| {
-                    let near = squared_distances.iter().zip(slots).filter(|(d, _)| **d <= limit);
-                    found.extend(near.map(|(&d, &slot)| self.neighbor(slot, d)));
-                    limit
-                },
-            );
+            points.for_groups_within(query, limit, |squared_distances, slots| {
+                let near = squared_distances
+                    .iter()
+                    .zip(slots)
+                    .filter(|(d, _)| **d <= limit);
+                found.extend(near.map(|(&d, &slot)| self.neighbor(slot, d)));
+                limit
+            });
         });
         found.sort_by(|a, b| {
             let by_distance = a.squared_distance.total_cmp(&b.squared_distance);
@@ -248,12 +250,7 @@ impl PointMap {
 
     /// Calls `visit` with every cell that may hold a point within `distance_m` of `query`.
     #[inline]
-    fn for_cells_within(
-        &self,
-        query: &Vector3<f32>,
-        distance_m: f32,
-        mut visit: impl FnMut(Cell),
-    ) {
+    fn for_cells_within(&self, query: &Vector3<f32>, distance_m: f32, mut visit: impl FnMut(Cell)) {
         let low = self.cell_of(&query.map(|x| x - distance_m));
         let high = self.cell_of(&query.map(|x| x + distance_m));
         let side = |low: i32, high: i32| f64::from(high) - f64::from(low) + 1.0;
@@ -320,8 +317,7 @@ impl LastingNearest {
     /// Whether a search at `query` would find the same point.
     #[inline]
     pub(crate) fn holds_at(&self, query: &Vector3<f32>) -> bool {
-        self.radius_m > 0.0
-            && (query - self.query).norm_squared() < self.radius_m * self.radius_m
+        self.radius_m > 0.0 && (query - self.query).norm_squared() < self.radius_m * self.radius_m
     }
 }
 

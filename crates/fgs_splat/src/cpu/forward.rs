@@ -139,7 +139,8 @@ fn blend_block<T: Real>(
     let mut entries_used = state.entries_used[block];
     let mut sums = *image;
     let splat = *splat;
-    let mut outcome = 0;
+    let mut taken = [0_u32; LANES];
+    let mut open = [0_u32; LANES];
     for lane in 0..LANES {
         let sample = Sample::new(&splat, x + lane_x[lane], y + lane_y[lane], min_n_ray[lane]);
         let before = transmittance[lane];
@@ -156,9 +157,14 @@ fn blend_block<T: Real>(
         sums.depth[lane] += weight * sample.depth;
         let after = before * (T::ONE - alpha);
         transmittance[lane] = after;
-        entries_used[lane] = if takes { entries } else { entries_used[lane] };
-        outcome |= if takes { HIT } else { 0 };
-        outcome |= if after >= transmittance_min { OPEN } else { 0 };
+        taken[lane] = u32::from(takes);
+        open[lane] = u32::from(after >= transmittance_min);
+    }
+    let mut outcome = 0;
+    for lane in 0..LANES {
+        // No branch: `entries` only grows.
+        entries_used[lane] = entries_used[lane].max(entries * taken[lane]);
+        outcome |= HIT * taken[lane] | OPEN * open[lane];
     }
     state.transmittance[block] = transmittance;
     state.entries_used[block] = entries_used;

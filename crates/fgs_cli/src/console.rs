@@ -1,0 +1,97 @@
+//! What the user sees: text and a progress bar for people, one JSON object a line for machines.
+//!
+//! Results go to stdout; progress and warnings go to stderr. A reader of stdout that goes away
+//! does not end the work.
+
+use std::fmt::Display;
+use std::io::Write;
+use std::time::Duration;
+
+use indicatif::{ProgressBar, ProgressStyle};
+use serde::Serialize;
+
+/// So many warnings of one kind are printed; the rest is only counted.
+const MAX_WARNINGS: usize = 10;
+
+/// Who reads along.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Console {
+    /// Text.
+    People,
+    /// JSON lines.
+    Machines,
+}
+
+#[derive(Serialize)]
+struct Event<'a, T> {
+    event: &'a str,
+    #[serde(flatten)]
+    data: T,
+}
+
+impl Console {
+    /// Machines if JSON was asked for.
+    pub fn new(json: bool) -> Self {
+        if json { Self::Machines } else { Self::People }
+    }
+
+    /// A line of text for people.
+    pub fn say(self, text: impl Display) {
+        if self == Self::People {
+            print_line(text);
+        }
+    }
+
+    /// A line `{"event": name, ...data}` for machines; `data` is a struct or a map.
+    pub fn event(self, name: &str, data: impl Serialize) {
+        if self == Self::Machines
+            && let Ok(line) = serde_json::to_string(&Event { event: name, data })
+        {
+            print_line(line);
+        }
+    }
+
+    /// A progress bar for people at a terminal; elsewhere one that shows nothing.
+    pub fn progress(self, steps: usize, what: &str) -> ProgressBar {
+        if self == Self::Machines {
+            return ProgressBar::hidden();
+        }
+        let bar = ProgressBar::new(steps as u64).with_prefix(what.to_owned());
+        let template = "{prefix} {wide_bar} {pos}/{len}  {per_sec}  {msg}  {eta} left";
+        if let Ok(style) = ProgressStyle::with_template(template) {
+            bar.set_style(style.with_key(
+                "per_sec",
+                |state: &indicatif::ProgressState, w: &mut dyn std::fmt::Write| {
+                    // A line of a progress bar that cannot be formatted is left empty.
+                    let _ = write!(w, "{:.1}/s", state.per_sec());
+                },
+            ));
+        }
+        bar.enable_steady_tick(Duration::from_millis(200));
+        bar
+    }
+}
+
+/// Warnings of one kind: the first few are printed, all are counted.
+#[derive(Debug, Default)]
+pub struct Warnings {
+    count: usize,
+}
+
+impl Warnings {
+    /// One more, above the bar.
+    pub fn warn(&mut self, bar: &ProgressBar, message: impl Display) {
+        self.count += 1;
+        if self.count <= MAX_WARNINGS {
+            bar.suspend(|| eprintln!("warning: {message}"));
+        }
+        if self.count == MAX_WARNINGS {
+            bar.suspend(|| eprintln!("warning: further ones like this are only counted"));
+        }
+    }
+}
+
+fn print_line(text: impl Display) {
+    // `println!` would panic on a closed pipe and take the run with it.
+    let _ = writeln!(std::io::stdout().lock(), "{text}");
+}

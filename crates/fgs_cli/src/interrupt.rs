@@ -1,0 +1,23 @@
+//! Ctrl-C: the first asks the work to end and save, the second ends the program at once.
+
+use std::process;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use anyhow::Context;
+
+use crate::failure::EXIT_INTERRUPTED;
+
+/// The flag that the first Ctrl-C (or SIGTERM) sets. To be called once.
+pub fn stop_flag() -> anyhow::Result<Arc<AtomicBool>> {
+    let stop = Arc::new(AtomicBool::new(false));
+    let handler = Arc::clone(&stop);
+    ctrlc::set_handler(move || {
+        if handler.swap(true, Ordering::Relaxed) {
+            process::exit(EXIT_INTERRUPTED.into());
+        }
+        eprintln!("stopping: saving what there is (Ctrl-C again to give up)");
+    })
+    .context("cannot listen for Ctrl-C")?;
+    Ok(stop)
+}

@@ -1,0 +1,94 @@
+//! Pictures for people: PNG files of what the map looks like, alone or beside the camera's image.
+
+use std::io::Write;
+
+use fgs_data::Dataset;
+use fgs_geom::{Image, RgbdFrame};
+use fgs_splat::Rasterizer;
+use image::codecs::png::PngEncoder;
+use image::{ExtendedColorType, ImageEncoder};
+
+use crate::evaluation;
+use crate::frame_log::FrameRow;
+use crate::run_folder::{PICTURES, RunFolder};
+use crate::run_result::RunResult;
+
+/// So many pictures show the run from its first to its last tracked frame.
+const SAMPLES: usize = 5;
+
+/// Writes pictures of a run, camera's image on the left and render on the right: some evenly spread
+/// over it and, if it was evaluated, the worst frame's.
+///
+/// # Errors
+/// If writing fails.
+pub fn write_samples(
+    result: &RunResult,
+    dataset: &Dataset,
+    folder: &RunFolder,
+) -> anyhow::Result<()> {
+    folder.start_pictures()?;
+    let mut rasterizer = Rasterizer::default();
+    for (row, name) in choose(result) {
+        // A frame that cannot be read again has no picture.
+        if let (Ok(frame), Some(pose)) = (dataset.frame(row.index), result.pose(row)) {
+            let rendered =
+                evaluation::render(&mut rasterizer, &result.gaussians, &frame.camera, pose);
+            let picture = side_by_side(&frame, &to_bytes(&rendered.color));
+            folder.write(&format!("{PICTURES}/{name}.png"), |file| {
+                write_png(&picture, file)
+            })?;
+        }
+    }
+    Ok(())
+}
+
+/// Rows with poses and names for their pictures.
+fn choose(result: &RunResult) -> Vec<(&FrameRow, String)> {
+    let tracked: Vec<_> = result
+        .rows
+        .iter()
+        .filter(|row| result.pose(row).is_some())
+        .collect();
+    let count = SAMPLES.min(tracked.len());
+    let mut chosen: Vec<_> = (0..count)
+        .map(|i| {
+            let row = tracked[i * (tracked.len() - 1) / (count - 1).max(1)];
+            (row, format!("frame-{:06}", row.index))
+        })
+        .collect();
+    let psnr = |row: &FrameRow| row.psnr_valid_depth_db.or(row.psnr_db);
+    let scored = tracked.iter().filter_map(|row| Some((psnr(row)?, *row)));
+    if let Some((_, row)) = scored.min_by(|a, b| a.0.total_cmp(&b.0)) {
+        chosen.push((row, format!("worst-frame-{:06}", row.index)));
+    }
+    chosen
+}
+
+/// A render's values, 0 to 1, as bytes.
+pub fn to_bytes(color: &Image<[f32; 3]>) -> Image<[u8; 3]> {
+    color.map(|pixel| pixel.map(|value| (255.0 * value.clamp(0.0, 1.0)).round() as u8))
+}
+
+fn side_by_side(frame: &RgbdFrame, render: &Image<[u8; 3]>) -> Image<[u8; 3]> {
+    let width = frame.color.width();
+    Image::from_fn(2 * width, frame.color.height(), |u, v| {
+        if u < width {
+            frame.color.at(u, v)
+        } else {
+            render.at(u - width, v)
+        }
+    })
+}
+
+/// Encodes a picture as PNG.
+///
+/// # Errors
+/// If writing fails.
+pub fn write_png(picture: &Image<[u8; 3]>, writer: impl Write) -> anyhow::Result<()> {
+    let (width, height) = (
+        u32::try_from(picture.width())?,
+        u32::try_from(picture.height())?,
+    );
+    let bytes = picture.data().as_flattened();
+    Ok(PngEncoder::new(writer).write_image(bytes, width, height, ExtendedColorType::Rgb8)?)
+}

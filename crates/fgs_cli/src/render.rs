@@ -1,0 +1,231 @@
+//! `fgs render`: pictures of a map, from where the camera was or along a smooth path.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::Context;
+use clap::Args;
+use fgs_data::Trajectory;
+use fgs_geom::{Camera, CameraError, Intrinsics, Se3};
+use fgs_splat::Rasterizer;
+
+use crate::console::Console;
+use crate::evaluation;
+use crate::failure::{EXIT_DONE, UsageError};
+use crate::fly_through::fly_through;
+use crate::image_size::ImageSize;
+use crate::pictures::{to_bytes, write_png};
+use crate::run_folder::{CONFIG, MAP, RunFolder, TRAJECTORY};
+use crate::settings::Settings;
+use crate::threads::Threads;
+
+/// Field of view for maps without a camera, degrees: about a depth sensor's.
+const DEFAULT_FOV_DEG: f64 = 60.0;
+/// Image size for maps without a camera.
+const DEFAULT_SIZE: ImageSize = ImageSize {
+    width: 640,
+    height: 480,
+};
+
+/// Make pictures of a map
+///
+/// Renders a map as PNG files from poses of its trajectory, or along a smooth path.
+#[derive(Debug, Args)]
+#[command(after_long_help = "\
+Examples:
+  fgs render runs/desk                                       pictures in runs/desk/views
+  fgs render runs/desk --fly-through --views 300 --size 1280x720 --fov 70
+  fgs render map.ply --trajectory poses.txt --out pictures
+
+A film of it:  ffmpeg -framerate 30 -i runs/desk/fly-through/%06d.png film.mp4")]
+pub struct RenderArgs {
+    /// Folder of a run, or a PLY file with trajectory.txt beside it
+    source: PathBuf,
+    /// Folder for the pictures [default: views or fly-through, beside the map]
+    #[arg(long, value_name = "DIR")]
+    out: Option<PathBuf>,
+    /// Glide along the smoothed trajectory instead of showing some of its poses
+    #[arg(long)]
+    fly_through: bool,
+    /// How many pictures, evenly spread
+    #[arg(long, value_name = "N", default_value_t = 30, value_parser = clap::value_parser!(u32).range(1..=100_000))]
+    views: u32,
+    /// Size of the pictures [default: the camera's]
+    #[arg(long, value_name = "WxH")]
+    size: Option<ImageSize>,
+    /// Horizontal field of view, degrees [default: the camera's]
+    #[arg(long, value_name = "DEGREES")]
+    fov: Option<f64>,
+    /// Poses in TUM's format [default: trajectory.txt beside the map]
+    #[arg(long, value_name = "FILE")]
+    trajectory: Option<PathBuf>,
+    #[command(flatten)]
+    threads: Threads,
+}
+
+/// Executes `fgs render`.
+///
+/// # Errors
+/// If map or trajectory cannot be read, or a picture cannot be written.
+pub fn run(args: &RenderArgs) -> anyhow::Result<u8> {
+    let is_run = args.source.is_dir();
+    let map = if is_run {
+        args.source.join(MAP)
+    } else {
+        args.source.clone()
+    };
+    let folder = map.parent().unwrap_or(Path::new("")).to_owned();
+    let camera = camera(args, &folder)?;
+    let trajectory = args
+        .trajectory
+        .clone()
+        .unwrap_or_else(|| folder.join(TRAJECTORY));
+    let trajectory = Trajectory::read(&trajectory)
+        .context("cannot tell where to look from (--trajectory FILE gives poses)")?;
+    let gaussians = fgs_splat::read_ply(&map)?;
+    let default_out = folder.join(if args.fly_through {
+        "fly-through"
+    } else {
+        "views"
+    });
+    let out = RunFolder::create(args.out.as_ref().unwrap_or(&default_out))?;
+    args.threads.apply()?;
+
+    let poses: Vec<Se3> = trajectory
+        .poses()
+        .iter()
+        .map(|pose| pose.world_from_camera)
+        .collect();
+    let views = args.views as usize;
+    let path = if args.fly_through {
+        fly_through(&poses, views)
+    } else {
+        spread(&poses, views)
+    };
+    let bar = Console::People.progress(path.len(), "views");
+    let mut rasterizer = Rasterizer::default();
+    for (i, pose) in path.iter().enumerate() {
+        let rendered = evaluation::render(&mut rasterizer, &gaussians, &camera, *pose);
+        let picture = to_bytes(&rendered.color);
+        out.write(&format!("{i:06}.png"), |file| write_png(&picture, file))?;
+        bar.inc(1);
+    }
+    bar.finish_and_clear();
+    Console::People.say(format!("{}: {} pictures", out.path().display(), path.len()));
+    Ok(EXIT_DONE)
+}
+
+/// At most `count` of the poses, evenly spread, the first and the last among them.
+fn spread(poses: &[Se3], count: usize) -> Vec<Se3> {
+    let count = count.min(poses.len());
+    let last = poses.len().saturating_sub(1);
+    (0..count)
+        .map(|i| poses[i * last / (count - 1).max(1)])
+        .collect()
+}
+
+/// The run's camera, as far as the options do not say otherwise.
+fn camera(args: &RenderArgs, folder: &Path) -> anyhow::Result<Camera> {
+    let config = folder.join(CONFIG);
+    let recorded = if config.is_file() {
+        Settings::read(&config)?.camera
+    } else {
+        None
+    };
+    let recorded = recorded.map(|file| *file.camera());
+    let usage = |error: CameraError| UsageError(format!("--size or --fov: {error}"));
+    let of_recorded = recorded.map(|camera| ImageSize {
+        width: camera.width,
+        height: camera.height,
+    });
+    let size = args.size.or(of_recorded).unwrap_or(DEFAULT_SIZE);
+    match (recorded, args.fov) {
+        (Some(camera), None) => resized(&camera, size).map_err(usage),
+        (_, fov) => with_fov(size, fov.unwrap_or(DEFAULT_FOV_DEG)).map_err(usage),
+    }
+    .map_err(Into::into)
+}
+
+/// The same horizontal field of view in another size.
+fn resized(camera: &Camera, size: ImageSize) -> Result<Camera, CameraError> {
+    let Intrinsics { fx, fy, cx, cy } = camera.intrinsics;
+    let scale = size.width as f64 / camera.width as f64;
+    // Pixel centres lie at integers, so the image begins at -0.5.
+    let cx = (cx + 0.5) * scale - 0.5;
+    let cy = (cy + 0.5) * (size.height as f64 / camera.height as f64) - 0.5;
+    let (fx, fy) = (fx * scale, fy * scale);
+    Camera::new(size.width, size.height, Intrinsics { fx, fy, cx, cy })
+}
+
+fn with_fov(size: ImageSize, fov_deg: f64) -> Result<Camera, CameraError> {
+    let focal = 0.5 * size.width as f64 / (0.5 * fov_deg).to_radians().tan();
+    let intrinsics = Intrinsics {
+        fx: focal,
+        fy: focal,
+        cx: 0.5 * (size.width as f64 - 1.0),
+        cy: 0.5 * (size.height as f64 - 1.0),
+    };
+    Camera::new(size.width, size.height, intrinsics)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const SIZE: ImageSize = ImageSize {
+        width: 200,
+        height: 100,
+    };
+
+    #[test]
+    fn the_field_of_view_is_from_edge_to_edge() {
+        let camera = with_fov(SIZE, 90.0).unwrap();
+        assert!((camera.ray(-0.5, 0.0).x + 1.0).abs() <= 1e-12);
+        assert!((camera.ray(199.5, 0.0).x - 1.0).abs() <= 1e-12);
+        for fov in [0.0, 180.0, -60.0, f64::NAN] {
+            assert!(with_fov(SIZE, fov).is_err(), "{fov}");
+        }
+    }
+
+    #[test]
+    fn another_size_shows_the_same_width() {
+        let intrinsics = Intrinsics {
+            fx: 500.0,
+            fy: 510.0,
+            cx: 300.0,
+            cy: 250.0,
+        };
+        let camera = Camera::new(640, 480, intrinsics).unwrap();
+        let small = resized(&camera, SIZE).unwrap();
+        for (edge, small_edge) in [(-0.5, -0.5), (639.5, 199.5)] {
+            let (a, b) = (camera.ray(edge, 0.0).x, small.ray(small_edge, 0.0).x);
+            assert!((a - b).abs() <= 1e-12);
+        }
+        let size = ImageSize {
+            width: 640,
+            height: 480,
+        };
+        assert_eq!(resized(&camera, size).unwrap(), camera);
+    }
+
+    #[test]
+    fn views_are_spread_from_first_to_last() {
+        let poses: Vec<Se3> = (0..10)
+            .map(|i| {
+                Se3::new(
+                    Default::default(),
+                    nalgebra::Vector3::new(f64::from(i), 0.0, 0.0),
+                )
+            })
+            .collect();
+        let xs = |count| -> Vec<f64> {
+            spread(&poses, count)
+                .iter()
+                .map(|pose| pose.translation.x)
+                .collect()
+        };
+        assert_eq!(xs(4), [0.0, 3.0, 6.0, 9.0]);
+        assert_eq!(xs(1), [0.0]);
+        assert_eq!(xs(99).len(), 10);
+        assert!(spread(&[], 3).is_empty());
+    }
+}

@@ -1,0 +1,84 @@
+//! Runs the built program on tiny synthetic recordings.
+
+#![allow(dead_code, reason = "each test program uses its own part of this")]
+
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+
+use serde_json::Value;
+use tempfile::TempDir;
+
+pub const FRAMES: usize = 12;
+
+/// The program, to be run in a folder.
+pub fn fgs(folder: &Path, arguments: &[&str]) -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_fgs"));
+    command.current_dir(folder).args(arguments);
+    command
+}
+
+/// Small images need a dense tracking grid: its points have to lie closer together than
+/// `max_correspondence_distance_m`.
+pub const DENSE_GRID: &str = "--set=tracking.grid_stride_px=1";
+
+/// Runs the program and expects an exit code.
+pub fn run(folder: &Path, arguments: &[&str], exit_code: i32) -> Output {
+    let output = fgs(folder, arguments).output().unwrap();
+    let stderr = stderr(&output);
+    assert_eq!(
+        output.status.code(),
+        Some(exit_code),
+        "{arguments:?}: {stderr}"
+    );
+    output
+}
+
+pub fn stderr(output: &Output) -> String {
+    String::from_utf8(output.stderr.clone()).unwrap()
+}
+
+pub fn stdout(output: &Output) -> String {
+    String::from_utf8(output.stdout.clone()).unwrap()
+}
+
+/// A folder with a recording `room` of 12 frames of 160x120 without noise.
+pub fn folder_with_recording() -> TempDir {
+    let folder = tempfile::tempdir().unwrap();
+    let frames = FRAMES.to_string();
+    let size = ["--frames", &frames, "--size", "160x120", "--noise", "none"];
+    run(
+        folder.path(),
+        &[&["synth", "room"], size.as_slice()].concat(),
+        0,
+    );
+    folder
+}
+
+pub fn metrics(run: &Path) -> Value {
+    serde_json::from_str(&fs::read_to_string(run.join("metrics.json")).unwrap()).unwrap()
+}
+
+/// The rows of `frames.csv`: a map from column to text each.
+pub fn rows(run: &Path) -> Vec<std::collections::HashMap<String, String>> {
+    let mut csv = csv::Reader::from_path(run.join("frames.csv")).unwrap();
+    csv.deserialize().collect::<Result<_, _>>().unwrap()
+}
+
+/// The file names in a folder, sorted; none if there is no such folder.
+pub fn names(folder: &Path) -> Vec<String> {
+    let entries = fs::read_dir(folder).into_iter().flatten();
+    let mut names: Vec<_> = entries
+        .map(|entry| entry.unwrap().file_name().into_string().unwrap())
+        .collect();
+    names.sort();
+    names
+}
+
+/// Colour and depth file of a frame of a recording in TUM's layout.
+pub fn frame_files(recording: &Path, index: usize) -> [PathBuf; 2] {
+    ["rgb", "depth"].map(|kind| {
+        let folder = recording.join(kind);
+        folder.join(&names(&folder)[index])
+    })
+}

@@ -1,0 +1,419 @@
+//! Whole runs: what they leave, that they can be repeated, scored and rendered.
+
+mod common;
+
+use std::fs;
+use std::path::Path;
+
+use common::{
+    DENSE_GRID, FRAMES, fgs, folder_with_recording, frame_files, metrics, names, rows, run, stderr,
+    stdout,
+};
+use serde_json::Value;
+
+const FILES: [&str; 6] = [
+    "config.effective.toml",
+    "frames.csv",
+    "map.ply",
+    "metrics.json",
+    "pictures",
+    "trajectory.txt",
+];
+
+const COUNTS: [&str; 13] = [
+    "frames",
+    "frames_dropped",
+    "frames_lost",
+    "frames_damaged",
+    "fps",
+    "tracking_ms",
+    "mapping_ms",
+    "iterations",
+    "iterations_per_frame",
+    "keyframes",
+    "num_gaussians",
+    "map_bytes",
+    "seed",
+];
+
+const TRAJECTORY_SCORES: [&str; 3] = ["ate_rmse_m", "ate_mean_m", "rpe_mean_m"];
+
+const IMAGE_SCORES: [&str; 6] = [
+    "psnr_valid_depth_db",
+    "psnr_db",
+    "psnr_paper_db",
+    "psnr_heldout_db",
+    "ssim",
+    "depth_l1_m",
+];
+
+fn assert_same_bytes(a: &Path, b: &Path) {
+    for file in ["trajectory.txt", "map.ply"] {
+        assert!(
+            fs::read(a.join(file)).unwrap() == fs::read(b.join(file)).unwrap(),
+            "{file}"
+        );
+    }
+}
+
+/// Eight finite columns, times increasing, quaternions of length 1.
+fn assert_strict_trajectory(run: &Path, poses: usize) {
+    let text = fs::read_to_string(run.join("trajectory.txt")).unwrap();
+    let lines = text.lines().filter(|line| !line.starts_with('#'));
+    let mut last = f64::NEG_INFINITY;
+    let mut count = 0;
+    for line in lines {
+        let columns: Vec<f64> = line
+            .split(' ')
+            .map(|column| column.parse().unwrap())
+            .collect();
+        assert_eq!(columns.len(), 8, "{line}");
+        assert!(columns.iter().all(|x| x.is_finite()), "{line}");
+        assert!(columns[0] > last, "{line}");
+        last = columns[0];
+        let length: f64 = columns[4..].iter().map(|q| q * q).sum();
+        assert!((length - 1.0).abs() <= 1e-9, "{line}");
+        count += 1;
+    }
+    assert_eq!(count, poses);
+}
+
+#[test]
+fn runs_repeat_and_can_be_scored_and_rendered() {
+    let folder = folder_with_recording();
+    let path = folder.path();
+    run(
+        path,
+        &[
+            "run",
+            "room",
+            DENSE_GRID,
+            "--mode",
+            "lockstep",
+            "--threads",
+            "1",
+            "--eval",
+        ],
+        0,
+    );
+    run(
+        path,
+        &[
+            "run",
+            "room",
+            DENSE_GRID,
+            "--mode",
+            "lockstep",
+            "--threads",
+            "2",
+        ],
+        0,
+    );
+    let (first, second) = (path.join("runs/room"), path.join("runs/room-2"));
+    assert_same_bytes(&first, &second);
+
+    for run in [&first, &second] {
+        assert_eq!(names(run), FILES);
+        assert_strict_trajectory(run, FRAMES);
+        assert_eq!(rows(run).len(), FRAMES);
+        let metrics = metrics(run);
+        for key in COUNTS.iter().chain(&TRAJECTORY_SCORES) {
+            assert!(metrics[key].is_number(), "{key}: {metrics}");
+        }
+        assert_eq!(metrics["frames"], FRAMES);
+        assert_eq!(metrics["frames_lost"], 0);
+        assert_eq!(metrics["lpips"], Value::Null);
+        assert_eq!(metrics["dataset"], "room");
+        assert_eq!(metrics["mode"], "lockstep");
+        assert!(metrics["commit"].is_string());
+        let bytes = fs::metadata(run.join("map.ply")).unwrap().len();
+        assert_eq!(metrics["map_bytes"], bytes);
+        // Exact depth and twelve calm frames: a tracker that works is within millimetres.
+        assert!(metrics["ate_rmse_m"].as_f64().unwrap() <= 0.01, "{metrics}");
+    }
+    if cfg!(target_os = "linux") {
+        assert!(metrics(&first)["peak_rss_bytes"].as_u64().unwrap() >= 1 << 20);
+    }
+    let (scored, unscored) = (metrics(&first), metrics(&second));
+    for key in IMAGE_SCORES {
+        assert!(scored[key].is_number(), "{key}: {scored}");
+        assert_eq!(unscored[key], Value::Null, "{key}");
+    }
+    assert!(
+        names(&first.join("pictures"))
+            .iter()
+            .any(|name| name.starts_with("worst-frame"))
+    );
+
+    run(path, &["eval", "runs/room-2"], 0);
+    let evaluated = metrics(&second);
+    for key in IMAGE_SCORES.iter().chain(&TRAJECTORY_SCORES) {
+        // Quaternions are normalised again on reading, which may change their last bits.
+        let (again, before) = (
+            evaluated[key].as_f64().unwrap(),
+            scored[key].as_f64().unwrap(),
+        );
+        assert!(
+            (again - before).abs() <= 1e-9 * before,
+            "{key}: {again} {before}"
+        );
+    }
+
+    run(
+        path,
+        &[
+            "run",
+            "room",
+            "--config",
+            "runs/room/config.effective.toml",
+            "--out",
+            "again",
+        ],
+        0,
+    );
+    assert_same_bytes(&first, &path.join("again"));
+    let config = |run: &str| {
+        let text = fs::read_to_string(path.join(run).join("config.effective.toml")).unwrap();
+        let lines = text.lines().filter(|line| !line.starts_with("command ="));
+        lines.map(str::to_owned).collect::<Vec<_>>()
+    };
+    assert_eq!(config("runs/room"), config("again"));
+
+    run(path, &["render", "runs/room", "--views", "3"], 0);
+    let size = ["--size", "80x40", "--fov", "70"];
+    let fly = [
+        "render",
+        "runs/room/map.ply",
+        "--fly-through",
+        "--views",
+        "4",
+        "--out",
+        "film",
+    ];
+    run(path, &[fly.as_slice(), &size].concat(), 0);
+    assert_eq!(
+        names(&first.join("views")),
+        ["000000.png", "000001.png", "000002.png"]
+    );
+    assert_eq!(names(&path.join("film")).len(), 4);
+    let picture = image::open(path.join("film/000000.png")).unwrap();
+    assert_eq!((picture.width(), picture.height()), (80, 40));
+    // The first view shows the first frame.
+    let view = image::open(first.join("views/000000.png"))
+        .unwrap()
+        .into_rgb8();
+    let frame = image::open(&frame_files(&path.join("room"), 0)[0])
+        .unwrap()
+        .into_rgb8();
+    let pairs = view.as_raw().iter().zip(frame.as_raw());
+    let error: f64 = pairs.map(|(a, b)| f64::from(a.abs_diff(*b))).sum();
+    assert!(error / view.as_raw().len() as f64 <= 25.0, "{error}");
+}
+
+#[test]
+fn settings_and_frames_of_the_command_line_hold() {
+    let folder = folder_with_recording();
+    let path = folder.path();
+    fs::write(
+        path.join("c.toml"),
+        "seed = 5\n[mapping]\nprune_every = 3\n",
+    )
+    .unwrap();
+    let sets = [
+        "--set",
+        "seed=9",
+        "--set",
+        "mapping.iterations_per_frame=0.5",
+    ];
+    let arguments = [
+        "run", "room", DENSE_GRID, "--config", "c.toml", "--out", "out", "--frames", "2..8",
+    ];
+    run(path, &[arguments.as_slice(), &sets].concat(), 0);
+    let metrics = metrics(&path.join("out"));
+    assert_eq!(metrics["seed"], 9);
+    assert_eq!(metrics["frames"], 6);
+    assert_eq!(metrics["iterations"], 3);
+    assert_eq!(rows(&path.join("out"))[0]["index"], "2");
+    let config = fs::read_to_string(path.join("out/config.effective.toml")).unwrap();
+    for line in [
+        "seed = 9",
+        "prune_every = 3",
+        "iterations_per_frame = 0.5",
+        "frames = \"2..8\"",
+    ] {
+        assert!(config.contains(line), "{line} is not in\n{config}");
+    }
+}
+
+#[test]
+fn replica_layout_and_every_mode() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path();
+    let size = ["--frames", "6", "--size", "161x121"];
+    run(
+        path,
+        &[&["synth", "room", "--layout", "replica"], size.as_slice()].concat(),
+        0,
+    );
+    for mode in ["parallel", "realtime"] {
+        run(
+            path,
+            &["run", "room", DENSE_GRID, "--mode", mode, "--out", mode],
+            0,
+        );
+        let metrics = metrics(&path.join(mode));
+        assert_eq!(metrics["mode"], mode);
+        assert_eq!(metrics["frames"], 6);
+        assert_eq!(metrics["frames_damaged"], 0);
+    }
+}
+
+#[test]
+fn json_lines_for_machines() {
+    let folder = folder_with_recording();
+    let output = run(
+        folder.path(),
+        &["run", "room", DENSE_GRID, "--json", "--frames", "..4"],
+        0,
+    );
+    let text = stdout(&output);
+    let events: Vec<Value> = text
+        .lines()
+        .map(|line| serde_json::from_str(line).unwrap())
+        .collect();
+    let kinds: Vec<_> = events
+        .iter()
+        .map(|event| event["event"].as_str().unwrap())
+        .collect();
+    assert_eq!(
+        kinds,
+        ["start", "frame", "frame", "frame", "frame", "metrics"]
+    );
+    assert_eq!(events[2]["index"], 1);
+    assert_eq!(events[5]["frames"], 4);
+    assert_eq!(stderr(&output), "");
+    let output = run(folder.path(), &["eval", "runs/room", "--json"], 0);
+    let last: Value = serde_json::from_str(stdout(&output).trim()).unwrap();
+    assert!(last["psnr_db"].is_number());
+}
+
+#[test]
+fn a_damaged_frame_is_skipped_counted_and_reported() {
+    let folder = folder_with_recording();
+    let path = folder.path();
+    let [color, _] = frame_files(&path.join("room"), 6);
+    let bytes = fs::read(&color).unwrap();
+    fs::write(&color, &bytes[..bytes.len() / 2]).unwrap();
+    let output = run(path, &["run", "room", DENSE_GRID, "--eval"], 0);
+    let message = stderr(&output);
+    assert!(
+        message.starts_with("warning: frame 6 is skipped: "),
+        "{message}"
+    );
+    assert!(
+        message.contains(color.file_name().unwrap().to_str().unwrap()),
+        "{message}"
+    );
+    let run = path.join("runs/room");
+    let metrics = metrics(&run);
+    assert_eq!(
+        (&metrics["frames"], &metrics["frames_damaged"]),
+        (&12.into(), &1.into())
+    );
+    assert_strict_trajectory(&run, FRAMES - 1);
+    let rows = rows(&run);
+    let damaged: Vec<_> = rows
+        .iter()
+        .filter(|row| row["status"] == "damaged")
+        .collect();
+    assert_eq!(damaged.len(), 1);
+    assert_eq!(damaged[0]["index"], "6");
+    assert_eq!(damaged[0]["psnr_db"], "");
+    assert!(
+        rows.iter()
+            .all(|row| (row["psnr_db"].is_empty()) == (row["status"] != "tracked"))
+    );
+}
+
+#[test]
+fn a_covered_lens_is_lost_not_invented() {
+    let folder = folder_with_recording();
+    let path = folder.path();
+    for index in 5..8 {
+        let [color, depth] = frame_files(&path.join("room"), index);
+        image::RgbImage::new(160, 120).save(color).unwrap();
+        image::ImageBuffer::<image::Luma<u16>, Vec<u16>>::new(160, 120)
+            .save(depth)
+            .unwrap();
+    }
+    run(path, &["run", "room", DENSE_GRID], 0);
+    let run = path.join("runs/room");
+    let lost: Vec<usize> = rows(&run)
+        .iter()
+        .filter(|row| row["status"] == "lost")
+        .map(|row| row["index"].parse().unwrap())
+        .collect();
+    assert_eq!(lost, [5, 6, 7]);
+    assert_eq!(metrics(&run)["frames_lost"], 3);
+    assert_strict_trajectory(&run, FRAMES - 3);
+}
+
+#[test]
+fn a_run_that_never_sees_anything_ends_well() {
+    let folder = folder_with_recording();
+    let path = folder.path();
+    for index in 0..FRAMES {
+        let [_, depth] = frame_files(&path.join("room"), index);
+        image::ImageBuffer::<image::Luma<u16>, Vec<u16>>::new(160, 120)
+            .save(depth)
+            .unwrap();
+    }
+    run(path, &["run", "room", DENSE_GRID, "--eval"], 0);
+    let run = path.join("runs/room");
+    assert_strict_trajectory(&run, 0);
+    let metrics = metrics(&run);
+    assert_eq!(metrics["frames_lost"], FRAMES);
+    assert_eq!(metrics["psnr_db"], Value::Null);
+    assert_eq!(metrics["ate_rmse_m"], Value::Null);
+}
+
+#[cfg(unix)]
+#[test]
+fn interrupted_runs_are_saved() {
+    use std::io::{BufRead, BufReader};
+    use std::process::{Command, Stdio};
+
+    let folder = folder_with_recording();
+    let path = folder.path();
+    let slow = ["--set", "mapping.iterations_per_frame=50", "--eval"];
+    let mut child = fgs(
+        path,
+        &[&["run", "room", DENSE_GRID, "--json"], slow.as_slice()].concat(),
+    )
+    .stdout(Stdio::piped())
+    .stderr(Stdio::null())
+    .spawn()
+    .unwrap();
+    let mut lines = BufReader::new(child.stdout.take().unwrap())
+        .lines()
+        .map(Result::unwrap);
+    assert!(lines.any(|line| line.contains(r#""event":"frame""#)));
+    let pid = child.id().to_string();
+    assert!(
+        Command::new("kill")
+            .args(["-INT", &pid])
+            .status()
+            .unwrap()
+            .success()
+    );
+    let last = lines.last().unwrap();
+    assert_eq!(child.wait().unwrap().code(), Some(130));
+    assert!(last.contains(r#""event":"metrics""#), "{last}");
+    let run = path.join("runs/room");
+    assert_eq!(names(&run), FILES);
+    let metrics = metrics(&run);
+    assert_eq!(metrics["interrupted"], true);
+    let frames = metrics["frames"].as_u64().unwrap() as usize;
+    assert!((1..FRAMES).contains(&frames), "{frames}");
+    assert_strict_trajectory(&run, frames);
+}

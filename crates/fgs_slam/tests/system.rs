@@ -1,0 +1,434 @@
+//! The whole system on synthetic rooms: accuracy, repeatability, shutdown, and losing the camera.
+
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::time::{Duration, Instant};
+
+use fgs_geom::{Camera, Image, RgbdFrame, Se3, View};
+use fgs_slam::{
+    Execution, Observer, SlamConfig, SlamError, SlamEvent, SlamOutput, TrackingStatus,
+    model_settings, run,
+};
+use fgs_splat::{
+    CpuModel, GaussianModel, Gaussians, ModelError, PruneRule, Rendered, Seeds, SparseChanges,
+    StepStats, Target, ViewId,
+};
+use fgs_synth::{SensorModel, Sequence, kinect_camera};
+
+type Frames = Vec<Result<RgbdFrame, std::io::Error>>;
+
+fn room(frames: usize) -> Sequence {
+    let camera = kinect_camera(160, 120).unwrap();
+    Sequence::new(3, frames, camera, SensorModel::exact())
+}
+
+fn config() -> SlamConfig {
+    let mut config = SlamConfig::default();
+    config.tracking.grid_stride_px = 3;
+    config.mapping.iterations_per_frame = 2.0;
+    config
+}
+
+fn frames(sequence: &Sequence) -> Frames {
+    sequence.frames().map(Ok).collect()
+}
+
+fn go(frames: Frames, camera: &Camera, execution: Execution) -> Result<SlamOutput, SlamError> {
+    let config = config();
+    let model = CpuModel::new(model_settings(&config.mapping));
+    let stop = AtomicBool::new(false);
+    run(
+        frames.into_iter(),
+        camera,
+        &config,
+        execution,
+        model,
+        &mut (),
+        &stop,
+    )
+}
+
+fn go_on(threads: usize, sequence: &Sequence) -> SlamOutput {
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(threads);
+    pool.build()
+        .unwrap()
+        .install(|| go(frames(sequence), sequence.camera(), Execution::Lockstep).unwrap())
+}
+
+/// The largest distance between estimated and true camera positions, both seen from the first.
+fn worst_position_error_m(output: &SlamOutput, sequence: &Sequence) -> f64 {
+    let first_from_world = sequence.world_from_camera(0).inverse();
+    let errors = output.frames.iter().map(|frame| {
+        let truth = first_from_world * sequence.world_from_camera(frame.index.0);
+        let estimate = frame.world_from_camera.unwrap_or(Se3::identity());
+        (estimate.translation - truth.translation).norm()
+    });
+    errors.fold(0.0, f64::max)
+}
+
+fn psnr_db(render: &Image<[f32; 3]>, seen: &Image<[u8; 3]>) -> f64 {
+    let pairs = render
+        .data()
+        .as_flattened()
+        .iter()
+        .zip(seen.data().as_flattened());
+    let squares = pairs.map(|(a, b)| (f64::from(*a) - f64::from(*b) / 255.0).powi(2));
+    let count = 3 * render.data().len();
+    -10.0 * (squares.sum::<f64>() / count as f64).log10()
+}
+
+#[test]
+fn tracks_and_maps_a_room_in_every_mode() {
+    let sequence = room(40);
+    let moved = (sequence.world_from_camera(39).translation
+        - sequence.world_from_camera(0).translation)
+        .norm();
+    for execution in [Execution::Lockstep, Execution::Parallel] {
+        let output = go(frames(&sequence), sequence.camera(), execution).unwrap();
+        assert_eq!(output.frames.len(), 40);
+        assert_eq!(output.timings.steps, 80);
+        let error_m = worst_position_error_m(&output, &sequence);
+        assert!(
+            error_m <= moved / 50.0,
+            "{execution:?}: {error_m} m of {moved} m"
+        );
+        assert!(output.gaussians.len() >= 1000);
+
+        let seen = sequence.frame(20);
+        let mut model = CpuModel::default();
+        let count = output.gaussians.len();
+        let seeds = Seeds {
+            gaussians: output.gaussians,
+            sparse_ids: vec![None; count],
+        };
+        model.insert(&seeds).unwrap();
+        let rendered = model.render(&View {
+            camera: seen.camera,
+            world_from_camera: output.frames[20].world_from_camera.unwrap(),
+        });
+        let psnr = psnr_db(&rendered.color, &seen.color);
+        assert!(psnr >= 24.0, "{execution:?}: {psnr} dB");
+    }
+}
+
+/// At the recording's own pace, or dropping what comes too late.
+#[test]
+fn realtime_ends_and_counts_every_frame() {
+    let sequence = room(30);
+    let output = go(frames(&sequence), sequence.camera(), Execution::Realtime).unwrap();
+    assert_eq!(output.frames.len() + output.frames_dropped, 30);
+    assert!(!output.gaussians.is_empty());
+    assert!(output.timings.total >= Duration::from_secs_f64(29.0 / 30.0));
+}
+
+#[test]
+fn lockstep_repeats_itself_on_any_number_of_threads() {
+    let sequence = room(16);
+    let first = go_on(1, &sequence);
+    for threads in [1, 8] {
+        let again = go_on(threads, &sequence);
+        assert!(first.gaussians == again.gaussians, "{threads} threads");
+        let poses = |output: &SlamOutput| -> Vec<_> {
+            output
+                .frames
+                .iter()
+                .map(|frame| frame.world_from_camera)
+                .collect()
+        };
+        assert_eq!(poses(&first), poses(&again), "{threads} threads");
+    }
+}
+
+fn statuses(output: &SlamOutput) -> String {
+    let letter = |status| match status {
+        TrackingStatus::Tracked => 'T',
+        TrackingStatus::Lost => 'L',
+    };
+    output
+        .frames
+        .iter()
+        .map(|frame| letter(frame.status))
+        .collect()
+}
+
+fn covered(mut frame: RgbdFrame) -> RgbdFrame {
+    frame.color = frame.color.map(|_| [0; 3]);
+    frame.depth_m = frame.depth_m.map(|_| 0.0);
+    frame
+}
+
+/// A wall that fills the view, without texture.
+fn blank_wall(mut frame: RgbdFrame) -> RgbdFrame {
+    frame.color = frame.color.map(|_| [200; 3]);
+    frame.depth_m = frame.depth_m.map(|_| 1.0);
+    frame
+}
+
+#[test]
+fn a_covered_lens_a_blank_wall_and_a_teleport_are_lost_and_the_camera_is_found_again() {
+    let sequence = room(150);
+    for damage in [covered, blank_wall, |frame: RgbdFrame| {
+        let elsewhere = room(150).frame(75);
+        RgbdFrame {
+            index: frame.index,
+            ..elsewhere
+        }
+    }] {
+        let input: Frames = (0..12)
+            .map(|i| {
+                let frame = sequence.frame(i);
+                Ok(if (5..8).contains(&i) {
+                    damage(frame)
+                } else {
+                    frame
+                })
+            })
+            .collect();
+        let output = go(input, sequence.camera(), Execution::Lockstep).unwrap();
+        assert_eq!(statuses(&output), "TTTTTLLLTTTT");
+        let finite = |pose: Se3| pose.matrix().iter().all(|x| x.is_finite());
+        let mut poses = output
+            .frames
+            .iter()
+            .filter_map(|frame| frame.world_from_camera);
+        assert!(poses.all(finite));
+        let means = output.gaussians.means.as_flattened();
+        assert!(means.iter().all(|x| x.is_finite()));
+    }
+}
+
+#[test]
+fn a_camera_that_sees_nothing_at_first_starts_when_it_does() {
+    let sequence = room(6);
+    let mut input = frames(&sequence);
+    input[0] = Ok(covered(sequence.frame(0)));
+    let output = go(input, sequence.camera(), Execution::Lockstep).unwrap();
+    assert_eq!(statuses(&output), "LTTTTT");
+}
+
+#[test]
+fn repeated_frames_stand_still() {
+    let sequence = room(1);
+    let input: Frames = (0..5).map(|_| Ok(sequence.frame(0))).collect();
+    let output = go(input, sequence.camera(), Execution::Lockstep).unwrap();
+    assert_eq!(statuses(&output), "TTTTT");
+    assert!(worst_position_error_m(&output, &sequence) <= 1e-6);
+}
+
+#[test]
+fn damaged_frames_are_skipped_and_counted() {
+    let sequence = room(8);
+    let mut input = frames(&sequence);
+    input[3] = Err(std::io::Error::other("a torn file"));
+    let output = go(input, sequence.camera(), Execution::Lockstep).unwrap();
+    assert_eq!((output.frames.len(), output.frames_damaged), (7, 1));
+    assert_eq!(statuses(&output), "TTTTTTT");
+}
+
+#[test]
+fn no_frames_give_an_empty_map() {
+    let camera = *room(1).camera();
+    for execution in [
+        Execution::Lockstep,
+        Execution::Parallel,
+        Execution::Realtime,
+    ] {
+        let output = go(Vec::new(), &camera, execution).unwrap();
+        assert!(output.frames.is_empty() && output.gaussians.is_empty());
+    }
+}
+
+/// Stops a run after some frames.
+struct StopAfter<'a> {
+    left: usize,
+    stop: &'a AtomicBool,
+}
+
+impl Observer for StopAfter<'_> {
+    fn on(&mut self, event: &SlamEvent<'_>) {
+        if matches!(event, SlamEvent::Frame { .. }) {
+            self.left -= 1;
+            self.stop.store(self.left == 0, Ordering::Relaxed);
+        }
+    }
+}
+
+#[test]
+fn a_stopped_run_keeps_what_it_has() {
+    let sequence = room(30);
+    for execution in [
+        Execution::Lockstep,
+        Execution::Parallel,
+        Execution::Realtime,
+    ] {
+        let config = config();
+        let stop = AtomicBool::new(false);
+        let mut observer = StopAfter {
+            left: 4,
+            stop: &stop,
+        };
+        let model = CpuModel::new(model_settings(&config.mapping));
+        let input = frames(&sequence).into_iter();
+        let output = run(
+            input,
+            sequence.camera(),
+            &config,
+            execution,
+            model,
+            &mut observer,
+            &stop,
+        )
+        .unwrap();
+        assert_eq!(output.frames.len(), 4, "{execution:?}");
+        assert!(!output.gaussians.is_empty(), "{execution:?}");
+    }
+}
+
+/// A model that does nothing well, to see what the system makes of it.
+struct BadModel {
+    steps_before_failure: usize,
+    panics: bool,
+    step_takes: Duration,
+    steps: AtomicUsize,
+}
+
+impl GaussianModel for BadModel {
+    fn len(&self) -> usize {
+        0
+    }
+    fn add_view(&mut self, _: View, _: Target) -> Result<ViewId, ModelError> {
+        Ok(ViewId(0))
+    }
+    fn drop_view(&mut self, _: ViewId) -> Result<(), ModelError> {
+        Ok(())
+    }
+    fn insert(&mut self, _: &Seeds) -> Result<(), ModelError> {
+        Ok(())
+    }
+    fn prune(&mut self, _: &PruneRule) -> usize {
+        0
+    }
+    fn render(&mut self, view: &View) -> Rendered {
+        CpuModel::default().render(view)
+    }
+    fn step(&mut self, id: ViewId) -> Result<(), ModelError> {
+        std::thread::sleep(self.step_takes);
+        if self.steps.fetch_add(1, Ordering::Relaxed) < self.steps_before_failure {
+            return Ok(());
+        }
+        assert!(!self.panics, "a model that panics");
+        Err(ModelError::NoSuchView(id))
+    }
+    fn take_stats(&mut self) -> Vec<StepStats> {
+        Vec::new()
+    }
+    fn covisibility(&mut self, _: ViewId) -> Result<Vec<(ViewId, f32)>, ModelError> {
+        Ok(Vec::new())
+    }
+    fn take_sparse_changes(&mut self) -> SparseChanges {
+        SparseChanges::default()
+    }
+    fn gaussians(&mut self) -> Gaussians {
+        Gaussians::default()
+    }
+}
+
+#[test]
+fn a_mapper_that_dies_ends_the_run_with_its_reason() {
+    let sequence = room(20);
+    for execution in [
+        Execution::Lockstep,
+        Execution::Parallel,
+        Execution::Realtime,
+    ] {
+        for panics in [false, true] {
+            if panics && execution == Execution::Lockstep {
+                continue; // There is no other thread whose panic could go unnoticed.
+            }
+            let model = BadModel {
+                steps_before_failure: 6,
+                panics,
+                step_takes: Duration::ZERO,
+                steps: AtomicUsize::new(0),
+            };
+            // Frames that never end: the run must not wait for their end.
+            let input = (0..).map(|i| Ok::<_, std::io::Error>(sequence.frame(i % 20)));
+            let start = Instant::now();
+            let result = run(
+                input,
+                sequence.camera(),
+                &config(),
+                execution,
+                model,
+                &mut (),
+                &AtomicBool::new(false),
+            );
+            match (result, panics) {
+                (Err(SlamError::Mapper(_)), false) | (Err(SlamError::MapperPanicked), true) => {}
+                (other, _) => panic!("{execution:?}: {other:?}"),
+            }
+            assert!(start.elapsed() <= Duration::from_secs(20), "{execution:?}");
+        }
+    }
+}
+
+#[test]
+fn a_slow_mapper_delays_but_loses_nothing() {
+    let sequence = room(25);
+    let model = BadModel {
+        steps_before_failure: usize::MAX,
+        panics: false,
+        step_takes: Duration::from_millis(5),
+        steps: AtomicUsize::new(0),
+    };
+    let output = run(
+        frames(&sequence).into_iter(),
+        sequence.camera(),
+        &config(),
+        Execution::Parallel,
+        model,
+        &mut (),
+        &AtomicBool::new(false),
+    )
+    .unwrap();
+    assert_eq!((output.frames.len(), output.timings.steps), (25, 50));
+}
+
+#[test]
+fn a_slow_tracker_is_waited_for() {
+    struct Slow;
+    impl Observer for Slow {
+        fn on(&mut self, _: &SlamEvent<'_>) {
+            std::thread::sleep(Duration::from_millis(20));
+        }
+    }
+    let sequence = room(10);
+    let config = config();
+    let output = run(
+        frames(&sequence).into_iter(),
+        sequence.camera(),
+        &config,
+        Execution::Parallel,
+        CpuModel::new(model_settings(&config.mapping)),
+        &mut Slow,
+        &AtomicBool::new(false),
+    )
+    .unwrap();
+    assert_eq!((output.frames.len(), output.timings.steps), (10, 20));
+}
+
+#[test]
+fn impossible_settings_are_refused() {
+    let sequence = room(1);
+    let mut config = config();
+    config.mapping.prune_every = 0;
+    let result = run(
+        frames(&sequence).into_iter(),
+        sequence.camera(),
+        &config,
+        Execution::Lockstep,
+        CpuModel::default(),
+        &mut (),
+        &AtomicBool::new(false),
+    );
+    assert!(matches!(result, Err(SlamError::Config(error)) if error.key == "mapping.prune_every"));
+}
