@@ -63,7 +63,9 @@ pub fn check(depth_scale: f64, median_depth_m: Option<f64>, fit: Option<&MotionF
 
 /// The usual scale nearby, else three digits.
 fn snapped(scale: f64) -> f64 {
-    let usual = USUAL_SCALES.into_iter().find(|usual| (scale / usual).ln().abs() <= SNAP);
+    let usual = USUAL_SCALES
+        .into_iter()
+        .find(|usual| (scale / usual).ln().abs() <= SNAP);
     usual.unwrap_or_else(|| {
         let digit = 10f64.powf(scale.log10().floor() - 2.0);
         (scale / digit).round() * digit
@@ -92,7 +94,10 @@ mod tests {
         assert_eq!(odd.verdict, Verdict::Problem);
         assert_eq!(odd.advice.unwrap(), "set depth_scale = 5750 (it is 5000)");
         let millimetres = with_poses(0.196, 0.001);
-        assert_eq!(millimetres.advice.unwrap(), "set depth_scale = 1000 (it is 5000)");
+        assert_eq!(
+            millimetres.advice.unwrap(),
+            "set depth_scale = 1000 (it is 5000)"
+        );
         // Too uncertain to say: falls back on the median depth.
         assert_eq!(with_poses(1.25, 0.1).seen, "the median depth is 2.00 m");
     }

@@ -82,10 +82,18 @@ impl EdgeMatcher {
         let n = self.scores.len() as f64;
         let places = STRETCHES.len() * SIDE * SIDE;
         let total: Vec<f64> = (0..places)
-            .map(|i| self.scores.iter().map(|score| f64::from(score[i])).sum::<f64>() / n)
+            .map(|i| {
+                self.scores
+                    .iter()
+                    .map(|score| f64::from(score[i]))
+                    .sum::<f64>()
+                    / n
+            })
             .collect();
         let best_of = |keep: &dyn Fn(usize) -> bool| {
-            (0..places).filter(|i| keep(*i)).max_by(|a, b| total[*a].total_cmp(&total[*b]))
+            (0..places)
+                .filter(|i| keep(*i))
+                .max_by(|a, b| total[*a].total_cmp(&total[*b]))
         };
         let is_still = |place: usize| {
             let (stretch, du, dv) = shift_at(place);
@@ -96,16 +104,19 @@ impl EdgeMatcher {
         };
         let random = total.iter().sum::<f64>() / places as f64;
         let gain = (total[best] - random) / (total[still] - random).max(1e-6);
-        let differences: Vec<f64> =
-            self.scores.iter().map(|s| f64::from(s[best]) - f64::from(s[still])).collect();
+        let differences: Vec<f64> = self
+            .scores
+            .iter()
+            .map(|s| f64::from(s[best]) - f64::from(s[still]))
+            .collect();
         let mean = differences.iter().sum::<f64>() / n;
         let variance = differences.iter().map(|d| (d - mean).powi(2)).sum::<f64>() / (n - 1.0);
         let significance = mean / (variance / n).sqrt().max(1e-9);
         let (stretch, du, dv) = shift_at(best);
         // At the image's side edge, the shift that the stretch alone amounts to.
-        let edge = f64::from(stretch.abs()) / 100.0 * 0.5 * self.width as f64 / self.reduction as f64;
+        let edge =
+            f64::from(stretch.abs()) / 100.0 * 0.5 * self.width as f64 / self.reduction as f64;
         let size = f64::from(du).hypot(f64::from(dv)).max(edge);
-        if std::env::var("V").is_ok() { eprintln!("edges: best {:?} gain {gain:.2} sig {significance:.1} random {random:.4} still {:.4} best {:.4} steps {}", shift_at(best), total[still], total[best], self.steps); }
         if size < MIN_SHIFT || gain < MIN_GAIN || significance < MIN_SIGNIFICANCE {
             return Check::ok(NAME, "steps in depth lie on edges in colour".into());
         }
@@ -141,9 +152,15 @@ fn agreement(steps: &[Step], horizontal: &Image<f32>, vertical: &Image<f32>) -> 
         let mut sums = [0f32; SIDE * SIDE];
         let mut counts = [0u32; SIDE * SIDE];
         for step in steps {
-            let edges = if step.is_vertical { vertical } else { horizontal };
-            let u = (center[0] + factor * (step.u - center[0])).round() as i32;
-            let v = (center[1] + factor * (step.v - center[1])).round() as i32;
+            let edges = if step.is_vertical {
+                vertical
+            } else {
+                horizontal
+            };
+            // A step between two pixels is an edge at both. Always the lower one (rounding goes
+            // up), or rows and columns would be biased.
+            let pixel = |x: f32, c: f32| (c + factor * (x - c) - 0.25).round() as i32;
+            let (u, v) = (pixel(step.u, center[0]), pixel(step.v, center[1]));
             for dv in -MAX_SHIFT..=MAX_SHIFT {
                 let row = v + dv;
                 if !(0..edges.height() as i32).contains(&row) {
@@ -160,7 +177,11 @@ fn agreement(steps: &[Step], horizontal: &Image<f32>, vertical: &Image<f32>) -> 
                 }
             }
         }
-        scores.extend(sums.iter().zip(counts).map(|(sum, count)| sum / count.max(1) as f32));
+        scores.extend(
+            sums.iter()
+                .zip(counts)
+                .map(|(sum, count)| sum / count.max(1) as f32),
+        );
     }
     scores
 }
@@ -172,14 +193,30 @@ fn steps(depth_m: &Image<f32>, reduction: usize) -> Vec<Step> {
     let to_working = |x: f32| (x + 0.5) / reduction as f32 - 0.5;
     // Lines every `reduction` pixels are as dense as the working image.
     for v in (0..height).step_by(reduction) {
-        along(width, |u| depth_m.at(u, v), |u| {
-            steps.push(Step { u: to_working(u), v: to_working(v as f32), is_vertical: false });
-        });
+        along(
+            width,
+            |u| depth_m.at(u, v),
+            |u| {
+                steps.push(Step {
+                    u: to_working(u),
+                    v: to_working(v as f32),
+                    is_vertical: false,
+                });
+            },
+        );
     }
     for u in (0..width).step_by(reduction) {
-        along(height, |v| depth_m.at(u, v), |v| {
-            steps.push(Step { u: to_working(u as f32), v: to_working(v), is_vertical: true });
-        });
+        along(
+            height,
+            |v| depth_m.at(u, v),
+            |v| {
+                steps.push(Step {
+                    u: to_working(u as f32),
+                    v: to_working(v),
+                    is_vertical: true,
+                });
+            },
+        );
     }
     steps
 }
@@ -197,7 +234,11 @@ fn along(len: usize, depth_at: impl Fn(usize) -> f32, mut found: impl FnMut(f32)
             && (depth - last_depth).abs() > MIN_STEP * depth.min(last_depth)
         {
             let nearer_ends = last_depth < depth;
-            found(if nearer_ends { last_place as f32 + 0.5 } else { place as f32 - 0.5 });
+            found(if nearer_ends {
+                last_place as f32 + 0.5
+            } else {
+                place as f32 - 0.5
+            });
         }
         last = Some((place, depth));
     }
@@ -206,7 +247,10 @@ fn along(len: usize, depth_at: impl Fn(usize) -> f32, mut found: impl FnMut(f32)
 /// Strength of edges along one direction, 0 to 1: half at twice the image's mean.
 fn edges(luma: &Image<f32>, du: usize, dv: usize) -> Image<f32> {
     let slope = Image::from_fn(luma.width(), luma.height(), |u, v| {
-        let ahead = luma.at((u + du).min(luma.width() - 1), (v + dv).min(luma.height() - 1));
+        let ahead = luma.at(
+            (u + du).min(luma.width() - 1),
+            (v + dv).min(luma.height() - 1),
+        );
         (ahead - luma.at(u.saturating_sub(du), v.saturating_sub(dv))).abs()
     });
     let mean = slope.data().iter().sum::<f32>() / slope.data().len() as f32;
@@ -215,12 +259,18 @@ fn edges(luma: &Image<f32>, du: usize, dv: usize) -> Image<f32> {
 }
 
 fn reduced_luma(color: &Image<[u8; 3]>, reduction: usize) -> Image<f32> {
-    Image::from_fn(color.width() / reduction, color.height() / reduction, |u, v| {
-        let rows = v * reduction..(v + 1) * reduction;
-        let pixels = rows.flat_map(|row| &color.row(row)[u * reduction..(u + 1) * reduction]);
-        let sum: f32 = pixels.map(|rgb| rgb.iter().map(|c| f32::from(*c)).sum::<f32>()).sum();
-        sum / (3 * reduction * reduction) as f32
-    })
+    Image::from_fn(
+        color.width() / reduction,
+        color.height() / reduction,
+        |u, v| {
+            let rows = v * reduction..(v + 1) * reduction;
+            let pixels = rows.flat_map(|row| &color.row(row)[u * reduction..(u + 1) * reduction]);
+            let sum: f32 = pixels
+                .map(|rgb| rgb.iter().map(|c| f32::from(*c)).sum::<f32>())
+                .sum();
+            sum / (3 * reduction * reduction) as f32
+        },
+    )
 }
 
 #[cfg(test)]
@@ -238,7 +288,10 @@ mod tests {
             frame.depth_m = Image::from_fn(depth_m.width(), depth_m.height(), |u, v| {
                 let (u, v) = source(u as f32, v as f32);
                 let inside = u >= 0.0 && v >= 0.0;
-                inside.then(|| depth_m.get(u as usize, v as usize)).flatten().unwrap_or(0.0)
+                inside
+                    .then(|| depth_m.get(u as usize, v as usize))
+                    .flatten()
+                    .unwrap_or(0.0)
             });
             matcher.add(&frame);
         }
@@ -256,11 +309,17 @@ mod tests {
     fn shifts_and_stretches_are_named() {
         let moved = check_with(|u, v| (u - 7.0, v + 4.0));
         assert_eq!(moved.verdict, Verdict::Problem, "{}", moved.seen);
-        let names_shift = ["-6", "-7", "-8"].iter().any(|du| moved.seen.contains(&format!("{du} columns")));
+        let names_shift = ["-6", "-7", "-8"]
+            .iter()
+            .any(|du| moved.seen.contains(&format!("{du} columns")));
         assert!(names_shift, "{}", moved.seen);
         let stretched = check_with(|u, v| (108.0 + (u - 108.0) / 1.1, 80.0 + (v - 80.0) / 1.1));
         assert_eq!(stretched.verdict, Verdict::Problem, "{}", stretched.seen);
-        assert!(stretched.seen.contains("stretched by -9 %"), "{}", stretched.seen);
+        assert!(
+            stretched.seen.contains("stretched by -9 %"),
+            "{}",
+            stretched.seen
+        );
     }
 
     #[test]

@@ -33,9 +33,13 @@ impl ExposureWatch {
     /// Takes the next frame.
     pub fn add(&mut self, index: FrameIndex, color: &Image<[u8; 3]>) {
         let blocks = block_means(color);
-        let ratios = self.previous.iter().zip(&blocks).filter_map(|(before, after)| {
-            (USABLE.contains(before) && USABLE.contains(after)).then(|| (after / before).ln())
-        });
+        let ratios = self
+            .previous
+            .iter()
+            .zip(&blocks)
+            .filter_map(|(before, after)| {
+                (USABLE.contains(before) && USABLE.contains(after)).then(|| (after / before).ln())
+            });
         if let Some(step) = median(ratios.collect()) {
             self.steps.push((index, step));
         }
@@ -45,16 +49,28 @@ impl ExposureWatch {
     /// What the frames say together.
     pub fn check(&self) -> Check {
         let jumps = || self.steps.iter().filter(|(_, step)| step.abs() >= MIN_JUMP);
-        let largest = self.steps.iter().max_by(|a, b| a.1.abs().total_cmp(&b.1.abs()));
+        let largest = self
+            .steps
+            .iter()
+            .max_by(|a, b| a.1.abs().total_cmp(&b.1.abs()));
         let Some((index, step)) = largest else {
             return Check::unknown(NAME, "no two frames follow one another".into());
         };
         let percent = 100.0 * (step.exp() - 1.0);
         match jumps().count() {
-            0 => Check::ok(NAME, format!("brightness changes by {:.1} % a frame at most", percent.abs())),
+            0 => Check::ok(
+                NAME,
+                format!(
+                    "brightness changes by {:.1} % a frame at most",
+                    percent.abs()
+                ),
+            ),
             count => Check::warn(
                 NAME,
-                format!("brightness jumps at {count} frames, by {percent:+.0} % at frame {}", index.0),
+                format!(
+                    "brightness jumps at {count} frames, by {percent:+.0} % at frame {}",
+                    index.0
+                ),
                 "lock exposure and white balance while recording".into(),
             ),
         }
@@ -104,7 +120,10 @@ mod tests {
         assert_eq!(check(&[1.0, 1.03, 1.06, 1.09]).verdict, Verdict::Ok);
         let jump = check(&[1.0, 1.0, 0.8, 0.8]);
         assert_eq!(jump.verdict, Verdict::Warn);
-        assert_eq!(jump.seen, "brightness jumps at 1 frames, by -20 % at frame 2");
+        assert_eq!(
+            jump.seen,
+            "brightness jumps at 1 frames, by -20 % at frame 2"
+        );
         assert_eq!(check(&[1.0]).verdict, Verdict::Unknown);
     }
 

@@ -20,9 +20,17 @@ pub fn check(unreadable: &[(FrameIndex, String)], frames: usize) -> Check {
         index.0
     );
     if unreadable.len() as f64 > MAX_SHARE * frames as f64 {
-        Check::problem(NAME, seen, "write these images again as the message asks".into())
+        Check::problem(
+            NAME,
+            seen,
+            "write these images again as the message asks".into(),
+        )
     } else {
-        Check::warn(NAME, seen, "a run leaves such frames out; copy the files again".into())
+        Check::warn(
+            NAME,
+            seen,
+            "a run leaves such frames out; copy the files again".into(),
+        )
     }
 }
 
@@ -37,7 +45,10 @@ mod tests {
         assert_eq!(check(&damaged(0), 50).verdict, Verdict::Ok);
         let one = check(&damaged(1), 50);
         assert_eq!(one.verdict, Verdict::Warn);
-        assert_eq!(one.seen, "1 of 50 frames cannot be read; frame 7: x.png: broken");
+        assert_eq!(
+            one.seen,
+            "1 of 50 frames cannot be read; frame 7: x.png: broken"
+        );
         assert_eq!(check(&damaged(50), 50).verdict, Verdict::Problem);
     }
 }

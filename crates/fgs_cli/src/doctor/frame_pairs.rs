@@ -88,7 +88,8 @@ impl PairBuilder {
 
     /// The next frame does not follow the last one: ends the pair.
     pub fn interrupt(&mut self) {
-        self.pairs.extend(self.open.take().and_then(|open| open.close().0));
+        self.pairs
+            .extend(self.open.take().and_then(|open| open.close().0));
     }
 
     /// Takes the next frame.
@@ -111,7 +112,10 @@ impl PairBuilder {
         }
         // Seen from the frame before, it may fit; if that was the pair's first, it has been tried.
         let fits_now = !is_first_step
-            && self.open.as_mut().is_some_and(|open| open.extend(frame, &self.camera));
+            && self
+                .open
+                .as_mut()
+                .is_some_and(|open| open.extend(frame, &self.camera));
         if !fits_now {
             self.lost.push(frame.index);
             self.open = OpenPair::new(Side::new(frame), &self.camera);
@@ -147,7 +151,9 @@ impl OpenPair {
                 && alignment.inlier_share >= MIN_INLIER_SHARE
                 && alignment.conditioning.weakest >= MIN_CONDITIONING
         };
-        let Some(alignment) = align(&source, &self.target, &start, &settings()).ok().filter(fits)
+        let Some(alignment) = align(&source, &self.target, &start, &settings())
+            .ok()
+            .filter(fits)
         else {
             return false;
         };
@@ -164,7 +170,10 @@ impl OpenPair {
             return (None, self.first);
         };
         let unit = f64::from(self.unit);
-        let Se3 { rotation, translation } = self.first_from_last;
+        let Se3 {
+            rotation,
+            translation,
+        } = self.first_from_last;
         let pair = FramePair {
             first: self.first,
             second: second.clone(),
@@ -204,7 +213,11 @@ fn settings() -> Settings {
 
 fn points(depth_m: &Image<f32>, camera: &Camera, unit: f32) -> Vec<Point> {
     let depth = depth_m.map(|depth| depth / unit);
-    grid(camera).surface_points(&depth, camera).iter().map(|point| point.disk()).collect()
+    grid(camera)
+        .surface_points(&depth, camera)
+        .iter()
+        .map(|point| point.disk())
+        .collect()
 }
 
 /// About [`GRID_POINTS`] pixels all over the image.
@@ -273,7 +286,13 @@ mod tests {
         };
         let built = pairs_of((0..5).map(test_room::frame).map(blank));
         assert!(built.pairs.is_empty());
-        let frames = (0..10).map(|i| if i == 5 { blank(test_room::frame(i)) } else { test_room::frame(i) });
+        let frames = (0..10).map(|i| {
+            if i == 5 {
+                blank(test_room::frame(i))
+            } else {
+                test_room::frame(i)
+            }
+        });
         assert_eq!(pairs_of(frames).lost, [FrameIndex(5)]);
     }
 }

@@ -27,20 +27,28 @@ const MAX_STANDARD_ERROR: f64 = 0.03;
 /// stays within a few per cent; a focal length wrong by a quarter halves it.
 const MAX_MISFIT_SHARE: f64 = 0.88;
 
-/// Compares the given camera with the one that fits; also returns that one's calibration if it is
-/// the finding.
-pub fn check(pairs: &[FramePair], given: &Camera) -> (Check, Option<Calibration>) {
+/// Compares the given camera with the one that fits; also returns that one's calibration if they
+/// differ. Depth that is not registered to colour follows the depth camera's intrinsics: then a
+/// difference is no fault of the camera file.
+pub fn check(
+    pairs: &[FramePair],
+    given: &Camera,
+    is_registered: bool,
+) -> (Check, Option<Calibration>) {
     let Some(calibration) = calibrate(pairs, given) else {
         let seen = "too few frames with surfaces in common".to_owned();
         return (Check::unknown(NAME, seen), None);
     };
     let misfit_share = misfit_share(pairs, given, &calibration);
-    if std::env::var("V").is_ok() { eprintln!("change {:.4?} se {:.4?} residual {:.5?} share {misfit_share:?}", calibration.change.as_slice(), calibration.standard_error.as_slice(), calibration.residual); }
     let is_changed = (0..4).any(|i| {
         let change = calibration.change[i].abs();
         change >= MIN_CHANGE[i] && change >= MIN_SIGNIFICANCE * calibration.standard_error[i]
     });
     if is_changed && misfit_share.is_some_and(|share| share <= MAX_MISFIT_SHARE) {
+        if !is_registered {
+            let seen = "cannot be told before depth is registered to colour".to_owned();
+            return (Check::unknown(NAME, seen), Some(calibration));
+        }
         let k = calibration.camera.intrinsics;
         let seen = format!(
             "frames seen from different directions do not fit; they fit best with about \
@@ -85,7 +93,7 @@ mod tests {
         let mut builder = PairBuilder::new(camera);
         frames.for_each(|i| builder.add(&test_room::frame(i)));
         builder.interrupt();
-        check(&builder.pairs, &camera).0
+        check(&builder.pairs, &camera, true).0
     }
 
     #[test]
@@ -94,13 +102,20 @@ mod tests {
         for factor in [0.8, 1.25] {
             let problem = check_with(factor, 0..60);
             assert_eq!(problem.verdict, Verdict::Problem);
-            assert!(problem.seen.contains("fx 180 fy 184 cx 101 cy 85"), "{}", problem.seen);
+            assert!(
+                problem.seen.contains("fx 180 fy 184 cx 101 cy 85"),
+                "{}",
+                problem.seen
+            );
         }
     }
 
     #[test]
     fn a_camera_that_stands_still_tells_nothing() {
-        assert_eq!(check_with(1.25, [0; 60].into_iter()).verdict, Verdict::Unknown);
+        assert_eq!(
+            check_with(1.25, [0; 60].into_iter()).verdict,
+            Verdict::Unknown
+        );
         assert_eq!(check_with(1.0, 0..1).verdict, Verdict::Unknown);
     }
 }

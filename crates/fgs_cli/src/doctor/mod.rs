@@ -18,12 +18,12 @@ mod report;
 mod self_calibration;
 mod statistics;
 mod survey;
-mod timing;
-mod valid_depth;
-#[cfg(test)]
-mod tests;
 #[cfg(test)]
 mod test_room;
+#[cfg(test)]
+mod tests;
+mod timing;
+mod valid_depth;
 
 use std::path::PathBuf;
 
@@ -39,7 +39,7 @@ use crate::settings::Settings;
 
 use frame_pairs::FramePair;
 use motion_fit::Motion;
-use report::{Found, Report};
+use report::{Found, Report, Verdict};
 use survey::Survey;
 
 /// Look at a recording before running it
@@ -86,20 +86,22 @@ pub fn run(args: &DoctorArgs) -> anyhow::Result<u8> {
     bar.finish_and_clear();
     console.event("doctor", &report);
     console.say(&report);
-    Ok(if report.has_problem() { EXIT_FAILED } else { EXIT_DONE })
+    Ok(if report.has_problem() {
+        EXIT_FAILED
+    } else {
+        EXIT_DONE
+    })
 }
 
 /// Reads the recording and makes every check.
 fn examine(dataset: &Dataset, progress: impl FnMut()) -> Report {
     let times: Vec<f64> = dataset.timestamps().collect();
-    let start = std::time::Instant::now();
     let survey = Survey::read(dataset, progress);
-    if std::env::var("V").is_ok() { eprintln!("survey {:?}", start.elapsed()); }
-    let start = std::time::Instant::now();
     let frames_read = survey.frames_read();
     let pairs = &survey.pairs.pairs;
-    let (intrinsics, calibration) = intrinsics::check(pairs, dataset.camera());
-    if std::env::var("V").is_ok() { eprintln!("intr {:?}", start.elapsed()); }
+    let edges = survey.edges.check();
+    let is_registered = edges.verdict != Verdict::Problem;
+    let (intrinsics, calibration) = intrinsics::check(pairs, dataset.camera(), is_registered);
     // With wrong intrinsics the registered motions are wrong too: the poses are then compared with
     // those of the intrinsics that fit.
     let first_from_second: Vec<Se3> = match &calibration {
@@ -111,7 +113,7 @@ fn examine(dataset: &Dataset, progress: impl FnMut()) -> Report {
         timing::check(&times, dataset.format() != Format::Tum),
         valid_depth::check(&survey.depth_shares),
         survey.exposure.check(),
-        survey.edges.check(),
+        edges,
         neighbors::check(&survey.pairs.lost, survey.depth_shares.len()),
         intrinsics,
     ];
@@ -121,19 +123,31 @@ fn examine(dataset: &Dataset, progress: impl FnMut()) -> Report {
             .iter()
             .zip(first_from_second)
             .filter_map(|(pair, first_from_second)| {
-                let pose = [truth.at(pair.first.timestamp_secs)?, truth.at(pair.second.timestamp_secs)?];
+                let pose = [
+                    truth.at(pair.first.timestamp_secs)?,
+                    truth.at(pair.second.timestamp_secs)?,
+                ];
                 let points = probe_points(pair, dataset.camera());
-                Some((Motion { first_from_second, points }, pose))
+                Some((
+                    Motion {
+                        first_from_second,
+                        points,
+                    },
+                    pose,
+                ))
             })
             .unzip();
         let (check, fit) = poses::check(&motions, &poses);
-        if std::env::var("V").is_ok() { eprintln!("{fit:?}"); }
         checks.push(check);
         motion_fit = fit;
     }
     let depth_scale = dataset.camera_file().depth_scale();
     let median_depth = statistics::median(survey.median_depths_m);
-    checks.push(depth_scale::check(depth_scale, median_depth, motion_fit.as_ref()));
+    checks.push(depth_scale::check(
+        depth_scale,
+        median_depth,
+        motion_fit.as_ref(),
+    ));
     Report {
         found: found(dataset, &times, frames_read),
         checks,
@@ -143,20 +157,31 @@ fn examine(dataset: &Dataset, progress: impl FnMut()) -> Report {
 /// The image's corners and centre at the pair's median depth.
 fn probe_points(pair: &FramePair, camera: &Camera) -> Vec<Vector3<f64>> {
     let (right, bottom) = (camera.width as f64 - 1.0, camera.height as f64 - 1.0);
-    [[0.0, 0.0], [right, 0.0], [0.0, bottom], [right, bottom], [0.5 * right, 0.5 * bottom]]
-        .map(|[u, v]| camera.unproject(u, v, pair.median_depth_m))
-        .into()
+    [
+        [0.0, 0.0],
+        [right, 0.0],
+        [0.0, bottom],
+        [right, bottom],
+        [0.5 * right, 0.5 * bottom],
+    ]
+    .map(|[u, v]| camera.unproject(u, v, pair.median_depth_m))
+    .into()
 }
 
 fn found(dataset: &Dataset, times: &[f64], frames_read: usize) -> Found {
     let camera = dataset.camera();
     let k = camera.intrinsics;
-    let duration = times.last().zip(times.first()).map(|(last, first)| last - first);
+    let duration = times
+        .last()
+        .zip(times.first())
+        .map(|(last, first)| last - first);
     Found {
         format: dataset.format().to_string(),
         frames: dataset.len(),
         frames_read,
-        known_poses: dataset.ground_truth().map_or(0, |truth| truth.poses().len()),
+        known_poses: dataset
+            .ground_truth()
+            .map_or(0, |truth| truth.poses().len()),
         duration_secs: duration.unwrap_or(0.0),
         width: camera.width,
         height: camera.height,

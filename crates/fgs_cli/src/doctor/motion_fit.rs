@@ -58,7 +58,11 @@ pub fn fit(registered: &[Motion], given: &[Se3]) -> Option<MotionFit> {
     (total > 0.0).then(|| MotionFit {
         misfit: (unexplained / total).sqrt(),
         scale,
-        scale_error: if length > 0.0 { scores.sqrt() / length } else { f64::INFINITY },
+        scale_error: if length > 0.0 {
+            scores.sqrt() / length
+        } else {
+            f64::INFINITY
+        },
     })
 }
 
@@ -85,7 +89,10 @@ mod tests {
     fn another_unit_of_length_is_found() {
         let registered = motions();
         let scaled = |motion: &Motion| {
-            let Se3 { rotation, translation } = motion.first_from_second;
+            let Se3 {
+                rotation,
+                translation,
+            } = motion.first_from_second;
             Se3::new(rotation, translation / 1.3)
         };
         let given: Vec<Se3> = registered.iter().map(scaled).collect();
@@ -98,7 +105,10 @@ mod tests {
     #[test]
     fn wrong_motions_are_not_explained() {
         let registered = motions();
-        let inverse: Vec<Se3> = registered.iter().map(|m| m.first_from_second.inverse()).collect();
+        let inverse: Vec<Se3> = registered
+            .iter()
+            .map(|m| m.first_from_second.inverse())
+            .collect();
         assert!(fit(&registered, &inverse).unwrap().misfit >= 1.0);
         let none = vec![Se3::identity(); 3];
         let fit_of_none = fit(&registered, &none).unwrap();

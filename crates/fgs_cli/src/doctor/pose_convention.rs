@@ -78,14 +78,21 @@ impl Convention {
         let m = self.axes;
         let is_expected = m == Matrix3::identity();
         let axes = (!is_expected && m.determinant() > 0.0).then(|| {
-            format!("multiply every pose on the right by the rotation {}", Rows(m.transpose()))
+            format!(
+                "multiply every pose on the right by the rotation {}",
+                Rows(m.transpose())
+            )
         });
         let mirror = (m.determinant() < 0.0).then(|| {
             let m_transposed = Rows(m.transpose());
             format!("left-handed axes: replace every pose P by M P M', M' = {m_transposed} and M its transpose")
         });
-        let steps: Vec<String> =
-            stored.map(str::to_owned).into_iter().chain(axes).chain(mirror).collect();
+        let steps: Vec<String> = stored
+            .map(str::to_owned)
+            .into_iter()
+            .chain(axes)
+            .chain(mirror)
+            .collect();
         steps.join(", then ")
     }
 }
@@ -123,16 +130,29 @@ impl fmt::Display for Rows {
 /// The 47 signed permutations of the axes other than the identity: rotations first, and OpenGL's
 /// (x right, y up, z backward) before all.
 fn signed_permutations() -> Vec<Matrix3<f64>> {
-    let orders = [[0, 1, 2], [0, 2, 1], [1, 0, 2], [1, 2, 0], [2, 0, 1], [2, 1, 0]];
+    let orders = [
+        [0, 1, 2],
+        [0, 2, 1],
+        [1, 0, 2],
+        [1, 2, 0],
+        [2, 0, 1],
+        [2, 1, 0],
+    ];
     let sign = |bits: usize, axis: usize| if bits >> axis & 1 == 1 { -1.0 } else { 1.0 };
     let matrix = |order: [usize; 3], bits: usize| {
         Matrix3::from_fn(|row, column| {
-            if order[column] == row { sign(bits, column) } else { 0.0 }
+            if order[column] == row {
+                sign(bits, column)
+            } else {
+                0.0
+            }
         })
     };
     let opengl = Matrix3::from_diagonal(&Vector3::new(1.0, -1.0, -1.0));
-    let mut all: Vec<Matrix3<f64>> =
-        orders.iter().flat_map(|&order| (0..8).map(move |bits| matrix(order, bits))).collect();
+    let mut all: Vec<Matrix3<f64>> = orders
+        .iter()
+        .flat_map(|&order| (0..8).map(move |bits| matrix(order, bits)))
+        .collect();
     all.retain(|m| *m != Matrix3::identity());
     all.sort_by_key(|m| (m.determinant() < 0.0, *m != opengl));
     all
@@ -145,8 +165,11 @@ mod tests {
     use super::*;
 
     fn poses() -> [Se3; 2] {
-        [[0.3, -0.2, 0.9, 1.0, 2.0, 3.0], [0.5, -0.1, 0.7, 1.2, 1.9, 3.3]]
-            .map(|tangent| Se3::exp(&Vector6::from(tangent)))
+        [
+            [0.3, -0.2, 0.9, 1.0, 2.0, 3.0],
+            [0.5, -0.1, 0.7, 1.2, 1.9, 3.3],
+        ]
+        .map(|tangent| Se3::exp(&Vector6::from(tangent)))
     }
 
     #[test]
@@ -159,7 +182,10 @@ mod tests {
         let mut motions: Vec<Matrix4<f64>> = Vec::new();
         for mistake in std::iter::once(Convention::expected()).chain(mistakes) {
             let motion = mistake.motion(&first, &second).unwrap().matrix();
-            assert!(motions.iter().all(|other| (other - motion).amax() >= 1e-3), "{mistake}");
+            assert!(
+                motions.iter().all(|other| (other - motion).amax() >= 1e-3),
+                "{mistake}"
+            );
             motions.push(motion);
         }
     }
@@ -170,35 +196,50 @@ mod tests {
         let [first, second] = poses();
         let truth = first.inverse() * second;
         let undone = |text: &str, write: &dyn Fn(&Se3) -> Se3| {
-            let mistake = Convention::mistakes().into_iter().find(|m| m.to_string() == text);
+            let mistake = Convention::mistakes()
+                .into_iter()
+                .find(|m| m.to_string() == text);
             let mistake = mistake.unwrap_or_else(|| panic!("no {text}"));
             let motion = mistake.motion(&write(&first), &write(&second)).unwrap();
             assert!((motion.matrix() - truth.matrix()).amax() <= 1e-12, "{text}");
             mistake.advice()
         };
         let expected_axes = "camera axes x right y down z forward";
-        let advice = undone(&format!("world to camera, {expected_axes}"), &|p| p.inverse());
+        let advice = undone(&format!("world to camera, {expected_axes}"), &|p| {
+            p.inverse()
+        });
         assert_eq!(advice, "invert every pose");
-        undone(&format!("camera to world with quaternions w x y z, {expected_axes}"), &|p| {
-            let q = p.rotation.coords;
-            // qw qx qy qz in the columns of qx qy qz qw.
-            Se3::from_wxyz([q.z, q.w, q.x, q.y], p.translation.into()).unwrap()
-        });
-        undone(&format!("camera to world with the rotation transposed, {expected_axes}"), &|p| {
-            Se3::new(p.rotation.inverse(), p.translation)
-        });
+        undone(
+            &format!("camera to world with quaternions w x y z, {expected_axes}"),
+            &|p| {
+                let q = p.rotation.coords;
+                // qw qx qy qz in the columns of qx qy qz qw.
+                Se3::from_wxyz([q.z, q.w, q.x, q.y], p.translation.into()).unwrap()
+            },
+        );
+        undone(
+            &format!("camera to world with the rotation transposed, {expected_axes}"),
+            &|p| Se3::new(p.rotation.inverse(), p.translation),
+        );
         let by = |axes: Matrix3<f64>| {
             move |p: &Se3| Se3::from_matrix(&(p.matrix() * axes.to_homogeneous())).unwrap()
         };
         let opengl = Matrix3::from_diagonal(&Vector3::new(1.0, -1.0, -1.0));
-        let advice = undone("camera to world, camera axes x right y up z backward", &by(opengl));
+        let advice = undone(
+            "camera to world, camera axes x right y up z backward",
+            &by(opengl),
+        );
         assert!(advice.ends_with("[1 0 0; 0 -1 0; 0 0 -1]"), "{advice}");
         // ROS's body axes: x forward, y left, z up.
         let ros = Matrix3::new(0.0, -1.0, 0.0, 0.0, 0.0, -1.0, 1.0, 0.0, 0.0);
-        undone("camera to world, camera axes x forward y left z up", &by(ros));
+        undone(
+            "camera to world, camera axes x forward y left z up",
+            &by(ros),
+        );
         let mirror = Matrix4::from_diagonal(&nalgebra::Vector4::new(1.0, -1.0, 1.0, 1.0));
-        undone("camera to world, camera axes x right y up z forward", &|p| {
-            Se3::from_matrix(&(mirror * p.matrix() * mirror)).unwrap()
-        });
+        undone(
+            "camera to world, camera axes x right y up z forward",
+            &|p| Se3::from_matrix(&(mirror * p.matrix() * mirror)).unwrap(),
+        );
     }
 }

@@ -110,7 +110,9 @@ pub struct Report {
 impl Report {
     /// Whether a check ended with a problem.
     pub fn has_problem(&self) -> bool {
-        self.checks.iter().any(|check| check.verdict == Verdict::Problem)
+        self.checks
+            .iter()
+            .any(|check| check.verdict == Verdict::Problem)
     }
 }
 
@@ -128,7 +130,15 @@ impl fmt::Display for Verdict {
 impl fmt::Display for Report {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let found = &self.found;
-        let Found { width, height, fx, fy, cx, cy, .. } = found;
+        let Found {
+            width,
+            height,
+            fx,
+            fy,
+            cx,
+            cy,
+            ..
+        } = found;
         writeln!(f, "found")?;
         writeln!(f, "  format        {}", found.format)?;
         writeln!(
@@ -146,13 +156,29 @@ impl fmt::Display for Report {
             n => writeln!(f, "  ground truth  poses of {n} frames")?,
         }
         writeln!(f, "checks")?;
-        for Check { name, verdict, seen, advice } in &self.checks {
+        for Check {
+            name,
+            verdict,
+            seen,
+            advice,
+        } in &self.checks
+        {
             writeln!(f, "  {verdict:<8} {name}: {seen}")?;
             if let Some(advice) = advice {
                 writeln!(f, "           -> {advice}")?;
             }
         }
-        let count = |wanted| self.checks.iter().filter(|check| check.verdict == wanted).count();
-        write!(f, "{} problems, {} warnings", count(Verdict::Problem), count(Verdict::Warn))
+        let count = |wanted| {
+            self.checks
+                .iter()
+                .filter(|check| check.verdict == wanted)
+                .count()
+        };
+        write!(
+            f,
+            "{} problems, {} warnings",
+            count(Verdict::Problem),
+            count(Verdict::Warn)
+        )
     }
 }

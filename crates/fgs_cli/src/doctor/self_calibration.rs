@@ -127,7 +127,10 @@ fn solve(
     let motion_steps = (systems.iter().zip(&inverses))
         .map(|(system, inverse)| -inverse * (system.motion_gradient + system.mixed * step))
         .collect();
-    let is_finite = step.iter().chain(error.iter()).all(|value| value.is_finite());
+    let is_finite = step
+        .iter()
+        .chain(error.iter())
+        .all(|value| value.is_finite());
     is_finite.then(|| (step, error.map(f64::sqrt), motion_steps))
 }
 
@@ -254,9 +257,20 @@ pub fn color_misfit(
             })
             .collect();
         let level = median(differences.clone())?;
-        median(differences.iter().map(|difference| (difference - level).abs()).collect())
+        median(
+            differences
+                .iter()
+                .map(|difference| (difference - level).abs())
+                .collect(),
+        )
     };
-    median(pairs.iter().zip(first_from_second).filter_map(of_pair).collect())
+    median(
+        pairs
+            .iter()
+            .zip(first_from_second)
+            .filter_map(of_pair)
+            .collect(),
+    )
 }
 
 /// The mean over 5x5 pixels: evens out noise and the frames' different sharpness.
@@ -289,7 +303,9 @@ mod tests {
         let depth_m = test_room::frame(0).depth_m;
         let motion = Se3::exp(&Vector6::new(0.1, -0.07, 0.05, 0.1, -0.06, 0.08));
         let (u, v, depth) = (60.0, 120.0, 1.9);
-        let surface = DepthGrid::default().surface_point(&depth_m, &camera, 70, 110).unwrap();
+        let surface = DepthGrid::default()
+            .surface_point(&depth_m, &camera, 70, 110)
+            .unwrap();
         let m = surface.normal / surface.normal.dot(&surface.fitted);
         let slope = [m.x / camera.intrinsics.fx, m.y / camera.intrinsics.fy];
         // The definition: predicted depth times measured inverse depth there.
@@ -298,18 +314,24 @@ mod tests {
             let motion = motion * Se3::exp(&delta.fixed_rows::<6>(0).into_owned());
             let y = motion.transform(&camera.unproject(u, v, depth));
             let pixel = camera.project(&y).unwrap();
-            let inverse_depth = 1.0 / surface.fitted.z
-                + slope[0] * (pixel.x - 70.0)
-                + slope[1] * (pixel.y - 110.0);
+            let inverse_depth =
+                1.0 / surface.fitted.z + slope[0] * (pixel.x - 70.0) + slope[1] * (pixel.y - 110.0);
             y.z * inverse_depth - 1.0
         };
         let (value, jacobian) = row(&camera.unproject(u, v, depth), &motion, &surface, &camera);
         assert!((value - residual(Vector10::zeros())).abs() <= 1e-12);
-        assert!(jacobian.iter().all(|slope| slope.abs() >= 1e-3), "{jacobian}");
+        assert!(
+            jacobian.iter().all(|slope| slope.abs() >= 1e-3),
+            "{jacobian}"
+        );
         for i in 0..10 {
             let step = Vector10::from_fn(|row, _| if row == i { 1e-5 } else { 0.0 });
             let slope = (residual(step) - residual(-step)) / 2e-5;
-            assert!((jacobian[i] - slope).abs() <= 1e-8, "{i}: {} {slope}", jacobian[i]);
+            assert!(
+                (jacobian[i] - slope).abs() <= 1e-8,
+                "{i}: {} {slope}",
+                jacobian[i]
+            );
         }
     }
 
@@ -328,11 +350,14 @@ mod tests {
         assert!((k.fy - expected.fy).abs() <= 0.5, "{k:?}");
         assert!((k.cx - expected.cx).abs() <= 0.5, "{k:?}");
         assert!((k.cy - expected.cy).abs() <= 0.4, "{k:?}");
-        assert!(found.residual[1] <= 0.1 * found.residual[0], "{:?}", found.residual);
+        assert!(
+            found.residual[1] <= 0.1 * found.residual[0],
+            "{:?}",
+            found.residual
+        );
         let given_motions: Vec<Se3> = pairs.iter().map(|pair| pair.first_from_second).collect();
         let before = color_misfit(&pairs, &given_motions, &given, &given).unwrap();
-        let after =
-            color_misfit(&pairs, &found.first_from_second, &given, &found.camera).unwrap();
+        let after = color_misfit(&pairs, &found.first_from_second, &given, &found.camera).unwrap();
         assert!(after <= 0.7 * before, "{after} {before}");
     }
 

@@ -22,13 +22,20 @@ pub fn median_depth(depth_m: &Image<f32>) -> Option<f32> {
     let step = (depth_m.data().len() / SAMPLES).max(1);
     // An even step would meet the same columns in every row.
     let depths = depth_m.data().iter().step_by(step | 1);
-    let valid = depths.copied().filter(|depth| has_depth(*depth)).map(f64::from);
+    let valid = depths
+        .copied()
+        .filter(|depth| has_depth(*depth))
+        .map(f64::from);
     median(valid.collect()).map(|depth| depth as f32)
 }
 
 /// The share of pixels with a depth.
 pub fn depth_share(depth_m: &Image<f32>) -> f64 {
-    let valid = depth_m.data().iter().filter(|depth| has_depth(**depth)).count();
+    let valid = depth_m
+        .data()
+        .iter()
+        .filter(|depth| has_depth(**depth))
+        .count();
     valid as f64 / depth_m.data().len().max(1) as f64
 }
 

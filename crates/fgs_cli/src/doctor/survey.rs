@@ -61,7 +61,9 @@ impl Survey {
                 match frame {
                     Ok(frame) => survey.add(&frame, edge_every),
                     Err(error) => {
-                        survey.unreadable.push((FrameIndex(index), error.to_string()));
+                        survey
+                            .unreadable
+                            .push((FrameIndex(index), error.to_string()));
                         survey.interrupt();
                     }
                 }
@@ -80,8 +82,10 @@ impl Survey {
         if self.depth_shares.len().is_multiple_of(edge_every) {
             self.edges.add(frame);
         }
-        self.depth_shares.push((frame.index, depth_share(&frame.depth_m)));
-        self.median_depths_m.extend(median_depth(&frame.depth_m).map(f64::from));
+        self.depth_shares
+            .push((frame.index, depth_share(&frame.depth_m)));
+        self.median_depths_m
+            .extend(median_depth(&frame.depth_m).map(f64::from));
         self.exposure.add(frame.index, &frame.color);
         self.pairs.add(frame);
     }
@@ -121,7 +125,12 @@ mod tests {
             let stretches = stretches(len);
             assert_eq!(stretches.len(), 20);
             assert_eq!((stretches[0].start, stretches[19].end), (0, len));
-            assert!(stretches.windows(2).all(|pair| pair[0].end <= pair[1].start), "{len}");
+            assert!(
+                stretches
+                    .windows(2)
+                    .all(|pair| pair[0].end <= pair[1].start),
+                "{len}"
+            );
         }
     }
 }

@@ -41,7 +41,10 @@ pub fn frame(index: usize) -> RgbdFrame {
     let seen = Image::from_fn(camera.width, camera.height, |u, v| {
         let direction = pose.rotation * camera.ray(u as f64, v as f64);
         let hit = |[low, high]: &[[f64; 3]; 2]| meet(&pose.translation, &direction, low, high);
-        let depth = BOXES.iter().enumerate().filter_map(|(i, b)| Some((hit(b)?, i)));
+        let depth = BOXES
+            .iter()
+            .enumerate()
+            .filter_map(|(i, b)| Some((hit(b)?, i)));
         let (depth, thing) = depth.min_by(|a, b| a.0.total_cmp(&b.0)).unwrap();
         let p = pose.translation + depth * direction;
         let pattern = (9.0 * p.x).sin() * (8.0 * p.y).sin() + (7.0 * p.z + 5.0 * p.x).sin();

@@ -18,7 +18,12 @@ pub fn is_gap(interval_secs: f64, usual_secs: f64) -> bool {
 
 /// The usual time between frames, seconds; `None` for a single frame.
 pub fn usual_interval(times_secs: &[f64]) -> Option<f64> {
-    median(times_secs.windows(2).map(|pair| pair[1] - pair[0]).collect())
+    median(
+        times_secs
+            .windows(2)
+            .map(|pair| pair[1] - pair[0])
+            .collect(),
+    )
 }
 
 /// Checks strictly increasing times; `are_made_up` if the recording has none of its own.
@@ -28,7 +33,10 @@ pub fn check(times_secs: &[f64], are_made_up: bool) -> Check {
     };
     let rate = 1.0 / usual;
     if are_made_up {
-        return Check::unknown(NAME, format!("there are no time stamps; {rate:.0} Hz is assumed"));
+        return Check::unknown(
+            NAME,
+            format!("there are no time stamps; {rate:.0} Hz is assumed"),
+        );
     }
     let gaps: Vec<(usize, f64)> = times_secs
         .windows(2)
@@ -63,13 +71,23 @@ mod tests {
     #[test]
     fn rate_and_gaps() {
         let mut times: Vec<f64> = (0..20).map(|i| 7.0 + f64::from(i) / 25.0).collect();
-        assert_eq!(check(&times, false), Check::ok(NAME, "25.0 Hz without gaps".into()));
+        assert_eq!(
+            check(&times, false),
+            Check::ok(NAME, "25.0 Hz without gaps".into())
+        );
         times.remove(9);
-        assert_eq!(check(&times, false).verdict, Verdict::Ok, "one frame lost is no gap");
+        assert_eq!(
+            check(&times, false).verdict,
+            Verdict::Ok,
+            "one frame lost is no gap"
+        );
         times.remove(9);
         let gap = check(&times, false);
         assert_eq!(gap.verdict, Verdict::Warn);
-        assert_eq!(gap.seen, "25.0 Hz with 1 gaps; the longest is 0.12 s after frame 8");
+        assert_eq!(
+            gap.seen,
+            "25.0 Hz with 1 gaps; the longest is 0.12 s after frame 8"
+        );
         assert_eq!(check(&[0.0, 0.5, 1.0], false).verdict, Verdict::Warn);
         assert_eq!(check(&[0.0], false).verdict, Verdict::Unknown);
         assert_eq!(check(&[0.0, 0.1], true).verdict, Verdict::Unknown);

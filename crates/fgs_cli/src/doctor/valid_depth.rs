@@ -19,7 +19,10 @@ pub fn check(shares: &[(FrameIndex, f64)]) -> Check {
     };
     let mean = shares.iter().map(|(_, share)| share).sum::<f64>() / shares.len() as f64;
     let percent = |share: f64| format!("{:.0} %", 100.0 * share);
-    let poor = shares.iter().filter(|(_, share)| *share < MIN_SHARE).count();
+    let poor = shares
+        .iter()
+        .filter(|(_, share)| *share < MIN_SHARE)
+        .count();
     let seen = format!(
         "{} of the pixels; {poor} frames under {}, the poorest {} (frame {})",
         percent(mean),
@@ -45,7 +48,11 @@ mod tests {
     #[test]
     fn means_and_poor_frames() {
         let verdict = |shares: &[f64]| {
-            let shares: Vec<_> = shares.iter().enumerate().map(|(i, s)| (FrameIndex(i), *s)).collect();
+            let shares: Vec<_> = shares
+                .iter()
+                .enumerate()
+                .map(|(i, s)| (FrameIndex(i), *s))
+                .collect();
             check(&shares).verdict
         };
         assert_eq!(verdict(&[0.72, 0.7]), Verdict::Ok);
