@@ -33,13 +33,10 @@ impl ExposureWatch {
     /// Takes the next frame.
     pub fn add(&mut self, index: FrameIndex, color: &Image<[u8; 3]>) {
         let blocks = block_means(color);
-        let ratios = self
-            .previous
-            .iter()
-            .zip(&blocks)
-            .filter_map(|(before, after)| {
-                (USABLE.contains(before) && USABLE.contains(after)).then(|| (after / before).ln())
-            });
+        let is_usable =
+            |(before, after): &(&f64, &f64)| USABLE.contains(*before) && USABLE.contains(*after);
+        let both = self.previous.iter().zip(&blocks).filter(is_usable);
+        let ratios = both.map(|(before, after)| (after / before).ln());
         if let Some(step) = median(ratios.collect()) {
             self.steps.push((index, step));
         }
@@ -68,7 +65,7 @@ impl ExposureWatch {
             count => Check::warn(
                 NAME,
                 format!(
-                    "brightness jumps at {count} frames, by {percent:+.0} % at frame {}",
+                    "jumps of brightness: {count}; the largest is {percent:+.0} % at frame {}",
                     index.0
                 ),
                 "lock exposure and white balance while recording".into(),
@@ -122,7 +119,7 @@ mod tests {
         assert_eq!(jump.verdict, Verdict::Warn);
         assert_eq!(
             jump.seen,
-            "brightness jumps at 1 frames, by -20 % at frame 2"
+            "jumps of brightness: 1; the largest is -20 % at frame 2"
         );
         assert_eq!(check(&[1.0]).verdict, Verdict::Unknown);
     }

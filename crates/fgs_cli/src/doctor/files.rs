@@ -23,7 +23,7 @@ pub fn check(unreadable: &[(FrameIndex, String)], frames: usize) -> Check {
         Check::problem(
             NAME,
             seen,
-            "write these images again as the message asks".into(),
+            "correct the images, or the camera file, as the message says".into(),
         )
     } else {
         Check::warn(

@@ -7,9 +7,10 @@
 
 use fgs_geom::Camera;
 
+use super::color_misfit::color_misfit;
 use super::frame_pairs::FramePair;
 use super::report::Check;
-use super::self_calibration::{Calibration, calibrate, color_misfit};
+use super::self_calibration::{Calibration, calibrate};
 
 const NAME: &str = "intrinsics";
 

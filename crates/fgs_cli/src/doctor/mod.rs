@@ -4,6 +4,7 @@
 //! [`survey`] reads frames and registers neighbours; every check is a function in a file of its
 //! own, from what the survey collected to a line of the [`report`].
 
+mod color_misfit;
 mod depth_scale;
 mod depth_to_color;
 mod exposure;

@@ -82,17 +82,17 @@ pub struct Found {
     pub known_poses: usize,
     /// From the first frame to the last, seconds.
     pub duration_secs: f64,
-    /// Size of the images and intrinsics, pixels.
+    /// Columns of the images.
     pub width: usize,
-    #[allow(missing_docs)]
+    /// Rows of the images.
     pub height: usize,
-    #[allow(missing_docs)]
+    /// Horizontal focal length, pixels.
     pub fx: f64,
-    #[allow(missing_docs)]
+    /// Vertical focal length, pixels.
     pub fy: f64,
-    #[allow(missing_docs)]
+    /// Column of the principal point.
     pub cx: f64,
-    #[allow(missing_docs)]
+    /// Row of the principal point.
     pub cy: f64,
     /// Value in a depth image that means 1 m.
     pub depth_scale: f64,
@@ -176,7 +176,7 @@ impl fmt::Display for Report {
         };
         write!(
             f,
-            "{} problems, {} warnings",
+            "problems: {}, warnings: {}",
             count(Verdict::Problem),
             count(Verdict::Warn)
         )

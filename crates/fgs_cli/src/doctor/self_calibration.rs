@@ -47,10 +47,22 @@ pub struct Calibration {
 }
 
 /// A pixel of a pair's second frame with its depth, smoothed.
-struct Sample {
-    u: f64,
-    v: f64,
-    depth_m: f64,
+pub struct Sample {
+    /// Column.
+    pub u: f64,
+    /// Row.
+    pub v: f64,
+    /// Metres as the recording's depth has them.
+    pub depth_m: f64,
+}
+
+/// One Gauss-Newton step.
+struct Step {
+    change: Vector4<f64>,
+    /// Of the camera's parameters.
+    standard_error: Vector4<f64>,
+    /// Of each pair's motion.
+    motions: Vec<Vector6<f64>>,
 }
 
 /// A pair's normal equations.
@@ -77,14 +89,14 @@ pub fn calibrate(pairs: &[FramePair], given: &Camera) -> Option<Calibration> {
         let systems: Vec<PairSystem> = (pairs.iter().zip(&samples).zip(&motions))
             .map(|((pair, samples), motion)| linearize(pair, samples, motion, &camera))
             .collect::<Option<_>>()?;
-        let (step, error, motion_steps) = solve(&systems, &change, &prior)?;
-        standard_error = error;
+        let step = solve(&systems, &change, &prior)?;
+        standard_error = step.standard_error;
         residuals.push(median(systems.iter().map(|s| s.median_residual).collect())?);
-        for (motion, step) in motions.iter_mut().zip(motion_steps) {
-            *motion = *motion * Se3::exp(&step);
+        for (motion, step) in motions.iter_mut().zip(&step.motions) {
+            *motion = *motion * Se3::exp(step);
         }
-        change += step;
-        if step.amax() <= MAX_LAST_STEP {
+        change += step.change;
+        if step.change.amax() <= MAX_LAST_STEP {
             break;
         }
     }
@@ -97,12 +109,8 @@ pub fn calibrate(pairs: &[FramePair], given: &Camera) -> Option<Calibration> {
     })
 }
 
-/// The camera's step, its standard error and every motion's step.
-fn solve(
-    systems: &[PairSystem],
-    change: &Vector4<f64>,
-    prior: &Matrix4<f64>,
-) -> Option<(Vector4<f64>, Vector4<f64>, Vec<Vector6<f64>>)> {
+/// The step of the camera and of every motion.
+fn solve(systems: &[PairSystem], change: &Vector4<f64>, prior: &Matrix4<f64>) -> Option<Step> {
     let mut hessian = *prior;
     let mut gradient = prior * change;
     let mut scatter = Matrix4::zeros();
@@ -124,14 +132,18 @@ fn solve(
     let step = -covariance * gradient;
     // The sandwich estimator: pairs are independent of one another, points of a pair are not.
     let error = (covariance * (scatter * (n / (n - 1.0)) + prior) * covariance).diagonal();
-    let motion_steps = (systems.iter().zip(&inverses))
+    let motions = (systems.iter().zip(&inverses))
         .map(|(system, inverse)| -inverse * (system.motion_gradient + system.mixed * step))
         .collect();
     let is_finite = step
         .iter()
         .chain(error.iter())
         .all(|value| value.is_finite());
-    is_finite.then(|| (step, error.map(f64::sqrt), motion_steps))
+    is_finite.then(|| Step {
+        change: step,
+        standard_error: error.map(f64::sqrt),
+        motions,
+    })
 }
 
 fn linearize(
@@ -214,7 +226,8 @@ fn row(
     (m.dot(&y) - 1.0, jacobian)
 }
 
-fn samples(pair: &FramePair, camera: &Camera) -> Vec<Sample> {
+/// The grid pixels of a pair's second frame that have a surface.
+pub fn samples(pair: &FramePair, camera: &Camera) -> Vec<Sample> {
     let points = grid(camera).surface_points(&pair.second.depth_m, camera);
     let sample = |point: SurfacePoint| Sample {
         u: point.u as f64,
@@ -237,55 +250,10 @@ fn changed(camera: &Camera, change: &Vector4<f64>) -> Camera {
     }
 }
 
-/// How far the colours of two frames disagree where both see the same points: the median
-/// difference of brightness, after the frames' own levels are made equal, over all pairs. `None`
-/// without a point in common.
-pub fn color_misfit(
-    pairs: &[FramePair],
-    first_from_second: &[Se3],
-    given: &Camera,
-    camera: &Camera,
-) -> Option<f64> {
-    let of_pair = |(pair, motion): (&FramePair, &Se3)| {
-        let differences: Vec<f64> = samples(pair, given)
-            .iter()
-            .filter_map(|sample| {
-                let point = camera.unproject(sample.u, sample.v, sample.depth_m);
-                let pixel = camera.project(&motion.transform(&point))?;
-                let there = local_mean(&pair.first.luma, pixel.x.round(), pixel.y.round())?;
-                Some(there - local_mean(&pair.second.luma, sample.u, sample.v)?)
-            })
-            .collect();
-        let level = median(differences.clone())?;
-        median(
-            differences
-                .iter()
-                .map(|difference| (difference - level).abs())
-                .collect(),
-        )
-    };
-    median(
-        pairs
-            .iter()
-            .zip(first_from_second)
-            .filter_map(of_pair)
-            .collect(),
-    )
-}
-
-/// The mean over 5x5 pixels: evens out noise and the frames' different sharpness.
-fn local_mean(luma: &fgs_geom::Image<f32>, u: f64, v: f64) -> Option<f64> {
-    if !(u >= 2.0 && v >= 2.0 && u + 2.0 < luma.width() as f64 && v + 2.0 < luma.height() as f64) {
-        return None;
-    }
-    let (u, v) = (u as usize, v as usize);
-    let rows = (v - 2..=v + 2).flat_map(|row| &luma.row(row)[u - 2..=u + 2]);
-    Some(rows.map(|value| f64::from(*value)).sum::<f64>() / 25.0)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::doctor::color_misfit::color_misfit;
     use crate::doctor::frame_pairs::PairBuilder;
     use crate::doctor::test_room;
     use fgs_gicp::DepthGrid;

@@ -120,7 +120,8 @@ mod tests {
 
     #[test]
     fn stretches_reach_from_end_to_end_without_overlap() {
-        assert_eq!(stretches(500), [0..500]);
+        assert_eq!(stretches(500).len(), 1);
+        assert_eq!(stretches(500)[0], 0..500);
         for len in [601, 5000] {
             let stretches = stretches(len);
             assert_eq!(stretches.len(), 20);

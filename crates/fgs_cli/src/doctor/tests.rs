@@ -315,7 +315,7 @@ fn faults() -> Vec<Fault> {
             },
             "frame rate",
             Warn,
-            "1 gaps",
+            "gaps: 1",
         ),
         fault(
             "exposure jump",
@@ -412,8 +412,8 @@ fn sound_recordings_are_not_accused() {
 
 #[test]
 fn every_fault_is_found() {
-    for (i, fault) in faults().iter().enumerate() {
-        let mut recording = Recording::new(i as u64 % 2);
+    for fault in &faults() {
+        let mut recording = Recording::new(1);
         (fault.breaks)(&mut recording);
         let report = recording.examine();
         assert!(is_found(&report, fault), "{}\n{report}", fault.name);

@@ -48,7 +48,7 @@ pub fn check(times_secs: &[f64], are_made_up: bool) -> Check {
         return Check::warn(
             NAME,
             format!(
-                "{rate:.1} Hz with {} gaps; the longest is {longest:.2} s after frame {before}",
+                "{rate:.1} Hz, gaps: {}; the longest is {longest:.2} s after frame {before}",
                 gaps.len()
             ),
             "tracking may be lost there: record to a faster disk, or use the frames on one side \
@@ -86,7 +86,7 @@ mod tests {
         assert_eq!(gap.verdict, Verdict::Warn);
         assert_eq!(
             gap.seen,
-            "25.0 Hz with 1 gaps; the longest is 0.12 s after frame 8"
+            "25.0 Hz, gaps: 1; the longest is 0.12 s after frame 8"
         );
         assert_eq!(check(&[0.0, 0.5, 1.0], false).verdict, Verdict::Warn);
         assert_eq!(check(&[0.0], false).verdict, Verdict::Unknown);
