@@ -109,3 +109,7 @@ impl Covariance {
         Self::from_matrix(&(rotation * self.matrix() * rotation.transpose()))
     }
 }
+
+#[cfg(test)]
+#[path = "covariance_tests.rs"]
+mod tests;

@@ -28,7 +28,7 @@ fn main() {
             world_from_camera: Se3::identity(),
         };
         let gaussians = scene(&camera);
-        for threads in [1, 2] {
+        for threads in [1] {
             let pool = rayon::ThreadPoolBuilder::new()
                 .num_threads(threads)
                 .build()

@@ -13,7 +13,7 @@ use rayon::prelude::*;
 
 use crate::registration::{AlignError, Alignment, Conditioning, Factor, LinearSystem, Settings};
 use crate::target::LastingNearest;
-use crate::{MIN_EIGENVALUE, Point, PointMap};
+use crate::{Point, PointMap};
 
 /// Points summed up by one task. Fixed, so that sums do not depend on the number of threads.
 const CHUNK_POINTS: usize = 1024;
@@ -24,6 +24,13 @@ const MARGIN: f32 = 0.1;
 
 /// Three points off a line determine a motion.
 const MIN_PAIRS: usize = 3;
+
+/// Points closer together than this determine no rotation: their `f32` positions are rounded to a
+/// hundredth of it.
+const MIN_RADIUS_M: f64 = 1e-4;
+
+/// Below this ratio of eigenvalues a direction is held by rounding errors only.
+const MIN_CONDITIONING: f64 = 1e-10;
 
 /// The motion `target_from_source` that lays the source onto the target, sought from `initial`.
 /// Not converging is no error: see [`Alignment::converged`].
@@ -37,6 +44,7 @@ pub fn align(
     settings: &Settings,
 ) -> Result<Alignment, AlignError> {
     check(source, target, initial)?;
+    let (centroid, radius_m) = extent(source);
     let mut target_from_source = *initial;
     let mut nearest = vec![LastingNearest::unknown(); source.len()];
     let mut iterations = 0;
@@ -54,6 +62,10 @@ pub fn align(
             pairs: system.pairs,
         };
         let hessian = system.hessian();
+        let conditioning = Conditioning::new(&hessian, &centroid, radius_m);
+        if !(radius_m >= MIN_RADIUS_M && conditioning.weakest >= MIN_CONDITIONING) {
+            return Err(undetermined);
+        }
         let Some(cholesky) = hessian.cholesky() else {
             return Err(undetermined);
         };
@@ -65,7 +77,6 @@ pub fn align(
         let converged = step.fixed_rows::<3>(0).norm() <= settings.rotation_epsilon_rad
             && step.fixed_rows::<3>(3).norm() <= settings.translation_epsilon_m;
         if converged || iterations >= settings.max_iterations {
-            let (centroid, radius_m) = extent(source);
             return Ok(Alignment {
                 target_from_source,
                 converged,
@@ -73,7 +84,7 @@ pub fn align(
                 inliers: system.pairs,
                 inlier_share: system.pairs as f64 / source.len() as f64,
                 rms_residual_m: (system.squared_residual / system.weight).sqrt(),
-                conditioning: Conditioning::new(&hessian, &centroid, radius_m),
+                conditioning,
                 hessian,
             });
         }
@@ -151,8 +162,7 @@ fn linearize_chunk(
         let Some(factor) = factor else {
             continue;
         };
-        // Two facing disks give along their normal 1 / (2 MIN_EIGENVALUE): as metres.
-        let squared_residual = factor.cost() * 2.0 * MIN_EIGENVALUE;
+        let squared_residual = factor.squared_residual();
         let weight = settings.kernel.weight(squared_residual);
         system.add(&p, &factor, weight, squared_residual);
     }
@@ -170,3 +180,7 @@ fn extent(source: &[Point]) -> (Vector3<f64>, f64) {
         / n;
     (centroid, variance.sqrt())
 }
+
+#[cfg(test)]
+#[path = "align_tests.rs"]
+mod tests;

@@ -40,6 +40,13 @@ impl Factor {
     pub fn cost(&self) -> f64 {
         self.residual.dot(&(self.information * self.residual))
     }
+
+    /// The squared residual in square metres whatever the covariances' scale: the mean over
+    /// directions weighted by their information, so for thin disks that along the normal.
+    #[inline]
+    pub fn squared_residual(&self) -> f64 {
+        self.cost() / self.information.trace()
+    }
 }
 
 /// The inverse of a symmetric positive definite matrix by cofactors; `None` if it is none.
@@ -60,3 +67,7 @@ fn inverse_symmetric(m: &Matrix3<f64>) -> Option<Matrix3<f64>> {
     let inverse = Matrix3::new(c_xx, c_xy, c_xz, c_xy, c_yy, c_yz, c_xz, c_yz, c_zz);
     Some(inverse / determinant)
 }
+
+#[cfg(test)]
+#[path = "factor_tests.rs"]
+mod tests;

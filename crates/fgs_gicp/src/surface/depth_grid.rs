@@ -65,11 +65,19 @@ pub struct SurfacePoint {
 }
 
 impl SurfacePoint {
-    /// As a point of a registration: the fitted position with the plane's disk as covariance.
-    pub fn disk(&self) -> Point {
+    /// As a point of a registration: the fitted position, with the plane's disk as covariance.
+    ///
+    /// `thickness` is the variance along the normal relative to that across, [`MIN_EIGENVALUE`]
+    /// in GICP; exact depth is served by far less. The covariance grows with the square of
+    /// `depth^noise_power`, as the sensor's variance does: power 2 for structured light and stereo,
+    /// 0 for depth that is equally exact everywhere.
+    ///
+    /// [`MIN_EIGENVALUE`]: crate::MIN_EIGENVALUE
+    pub fn disk(&self, thickness: f64, noise_power: f64) -> Point {
+        let variance = self.fitted.z.powf(2.0 * noise_power);
         Point {
             position: self.fitted.cast(),
-            covariance: Covariance::disk(&self.normal, crate::MIN_EIGENVALUE),
+            covariance: Covariance::disk(&self.normal, thickness).scaled(variance),
         }
     }
 }
@@ -190,3 +198,7 @@ struct InverseDepthPlane {
     slope_v: f64,
     center: f64,
 }
+
+#[cfg(test)]
+#[path = "depth_grid_tests.rs"]
+mod tests;

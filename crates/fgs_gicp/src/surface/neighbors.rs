@@ -30,3 +30,7 @@ pub fn covariances_from_neighbors(
         })
         .collect()
 }
+
+#[cfg(test)]
+#[path = "neighbors_tests.rs"]
+mod tests;

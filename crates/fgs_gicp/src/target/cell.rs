@@ -1,6 +1,6 @@
 //! The points of one cell of a map, four side by side, so that four distances are computed at
 //! once.
-//! Invariant: lanes without a point are infinitely far away.
+//! Invariant: lanes without a point are NaN, so that no comparison finds them near.
 
 use nalgebra::Vector3;
 
@@ -24,9 +24,9 @@ struct Group {
 
 impl Group {
     const EMPTY: Self = Self {
-        x: [f32::INFINITY; LANES],
-        y: [f32::INFINITY; LANES],
-        z: [f32::INFINITY; LANES],
+        x: [f32::NAN; LANES],
+        y: [f32::NAN; LANES],
+        z: [f32::NAN; LANES],
         slots: [u32::MAX; LANES],
     };
 
@@ -72,7 +72,7 @@ impl CellPoints {
         let last = Vector3::new(group.x[lane], group.y[lane], group.z[lane]);
         let last_slot = group.slots[lane];
         self.groups[at / LANES].set(at % LANES, &last, last_slot);
-        self.groups[self.len / LANES].set(lane, &Vector3::repeat(f32::INFINITY), u32::MAX);
+        self.groups[self.len / LANES].set(lane, &Vector3::repeat(f32::NAN), u32::MAX);
         self.groups.truncate(self.len.div_ceil(LANES));
     }
 

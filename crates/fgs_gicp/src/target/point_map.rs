@@ -28,6 +28,7 @@ pub struct Neighbor<'a> {
 /// Points with ids, to be searched by position.
 #[derive(Clone, Debug)]
 pub struct PointMap {
+    cell_size_m: f32,
     cells_per_m: f32,
     cells: HashMap<Cell, CellPoints, BuildHasherDefault<CellHasher>>,
     slots: Vec<(u64, Point)>,
@@ -51,6 +52,7 @@ impl PointMap {
         let cells_per_m = 1.0 / cell_size_m;
         let usable = cells_per_m.is_normal() && cells_per_m > 0.0;
         Self {
+            cell_size_m: if usable { cell_size_m } else { 1.0 },
             cells_per_m: if usable { cells_per_m } else { 1.0 },
             cells: HashMap::default(),
             slots: Vec::new(),
@@ -139,19 +141,18 @@ impl PointMap {
             Some(slot) if distance <= max_distance_m => {
                 // No other point is nearer than this: those beyond the margin were not looked at.
                 let next = found.next_squared_distance.sqrt().min(distance + margin_m);
-                (Some(slot), 0.5 * (next - distance))
+                let stays_nearest = 0.5 * (next - distance);
+                (Some(slot), stays_nearest.min(max_distance_m - distance))
             }
             _ => (
                 None,
                 distance.min(max_distance_m + margin_m) - max_distance_m,
             ),
         };
-        // Distances are rounded like the coordinates that they come from.
-        let rounding = 4.0 * f32::EPSILON * (query.amax() + max_distance_m);
         LastingNearest {
             slot,
             query: *query,
-            radius_m: radius - rounding,
+            radius_m: radius - rounding_m(query, max_distance_m),
         }
     }
 
@@ -170,7 +171,7 @@ impl PointMap {
     ) -> Vec<Neighbor<'_>> {
         let mut found = Vec::new();
         let limit = max_distance_m * max_distance_m;
-        self.for_cells_within(query, max_distance_m, |cell| {
+        self.for_cells_within(query, max_distance_m, |cell, _| {
             let Some(points) = self.cells.get(&cell) else {
                 return;
             };
@@ -214,8 +215,8 @@ impl PointMap {
         let own = self.cell_of(query);
         self.search_cell(own, query, &mut search);
         // What the own cell holds usually leaves few other cells, if any, within reach.
-        self.for_cells_within(query, search.limit.sqrt(), |cell| {
-            if cell != own {
+        self.for_cells_within(query, search.limit.sqrt(), |cell, squared_gap| {
+            if cell != own && squared_gap <= search.limit {
                 self.search_cell(cell, query, &mut search);
             }
         });
@@ -230,40 +231,57 @@ impl PointMap {
         let id = |slot: u32| self.slots[slot as usize].0;
         points.for_groups_within(query, search.limit, |squared_distances, slots| {
             for (&squared, &slot) in squared_distances.iter().zip(slots) {
-                if squared > search.limit {
-                    continue;
-                }
                 let nearest = search.squared_distance;
-                let wins_tie = squared == nearest && search.slot.is_some_and(|s| id(slot) < id(s));
-                if squared < nearest || wins_tie {
-                    search.next_squared_distance = nearest;
+                if squared < nearest && squared <= search.limit {
                     search.squared_distance = squared;
+                    search.next_squared_distance = nearest;
                     search.slot = Some(slot);
-                    search.limit = search.limit.min((squared.sqrt() + search.margin_m).powi(2));
-                } else {
+                    // Not below the point itself by rounding: its equals are to be met too.
+                    let limit = (squared.sqrt() + search.margin_m).powi(2).max(squared);
+                    search.limit = search.limit.min(limit);
+                } else if squared <= search.limit {
                     search.next_squared_distance = search.next_squared_distance.min(squared);
+                    if squared == nearest && search.slot.is_none_or(|other| id(slot) < id(other)) {
+                        search.slot = Some(slot);
+                    }
                 }
             }
             search.limit
         });
     }
 
-    /// Calls `visit` with every cell that may hold a point within `distance_m` of `query`.
+    /// Calls `visit(cell, squared_gap)` with every cell that may hold a point within `distance_m`
+    /// of `query`. No point of the cell is nearer than the gap.
     #[inline]
-    fn for_cells_within(&self, query: &Vector3<f32>, distance_m: f32, mut visit: impl FnMut(Cell)) {
-        let low = self.cell_of(&query.map(|x| x - distance_m));
-        let high = self.cell_of(&query.map(|x| x + distance_m));
+    fn for_cells_within(
+        &self,
+        query: &Vector3<f32>,
+        distance_m: f32,
+        mut visit: impl FnMut(Cell, f32),
+    ) {
+        let rounding_m = rounding_m(query, distance_m);
+        let reach = distance_m + rounding_m;
+        let low = self.cell_of(&query.map(|x| x - reach));
+        let high = self.cell_of(&query.map(|x| x + reach));
         let side = |low: i32, high: i32| f64::from(high) - f64::from(low) + 1.0;
         let cells = side(low.x, high.x) * side(low.y, high.y) * side(low.z, high.z);
         // A search far beyond the cells' size is quicker through the table itself.
         if cells > 64.0 && cells > self.cells.len() as f64 {
-            self.cells.keys().for_each(|&cell| visit(cell));
+            self.cells.keys().for_each(|&cell| visit(cell, 0.0));
             return;
         }
+        // Along one axis, from the query to the cell.
+        let squared_gap = |cell: i32, x: f32| {
+            let low = cell as f32 * self.cell_size_m;
+            let gap = (low - x).max(x - low - self.cell_size_m) - rounding_m;
+            gap.max(0.0).powi(2)
+        };
         for x in low.x..=high.x {
+            let gap_x = squared_gap(x, query.x);
             for y in low.y..=high.y {
+                let gap_xy = gap_x + squared_gap(y, query.y);
                 for z in low.z..=high.z {
-                    visit(Cell { x, y, z });
+                    visit(Cell { x, y, z }, gap_xy + squared_gap(z, query.z));
                 }
             }
         }
@@ -284,6 +302,13 @@ impl PointMap {
             z: coordinate(position.z),
         }
     }
+}
+
+/// Bounds the rounding error of distances up to `distance_m` from `query`, which is that of the
+/// coordinates that they come from.
+#[inline]
+fn rounding_m(query: &Vector3<f32>, distance_m: f32) -> f32 {
+    4.0 * f32::EPSILON * (query.amax() + distance_m)
 }
 
 /// A search under way.
@@ -349,3 +374,7 @@ impl Hasher for CellHasher {
         self.0 ^ (self.0 >> 32)
     }
 }
+
+#[cfg(test)]
+#[path = "point_map_tests.rs"]
+mod tests;

@@ -19,15 +19,15 @@ pub(super) fn reflect(image: &Image<u8>, border: Border) -> Image<u8> {
     if width == 0 || height == 0 {
         return image.clone();
     }
-    let source_column: Vec<usize> = (0..border.left + width + border.right)
-        .map(|u| reflected_index(u, border.left, width))
-        .collect();
-    let source_row = |v| reflected_index(v, border.top, height);
-    Image::from_fn(
-        source_column.len(),
-        border.top + height + border.bottom,
-        |u, v| image.at(source_column[u], source_row(v)),
-    )
+    let sources = |before: usize, len: usize, after: usize| -> Vec<usize> {
+        let reflected = |index| reflected_index(index, before, len);
+        (0..before + len + after).map(reflected).collect()
+    };
+    let columns = sources(border.left, width, border.right);
+    let rows = sources(border.top, height, border.bottom);
+    Image::from_fn(columns.len(), rows.len(), |u, v| {
+        image.at(columns[u], rows[v])
+    })
 }
 
 /// The index in `0..len` seen at `index - offset`.

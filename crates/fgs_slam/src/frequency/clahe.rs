@@ -7,6 +7,7 @@
 use fgs_geom::Image;
 
 use super::border::{Border, reflect};
+use super::byte_from_float;
 
 /// The grid has this many tiles along either side, whatever the image's size.
 const GRID: usize = 32;
@@ -58,7 +59,7 @@ pub(super) fn equalize(image: &Image<u8>) -> Image<u8> {
                 before * (1.0 - column.fraction) + after * column.fraction
             };
             let value = blend(upper) * (1.0 - row.fraction) + blend(lower) * row.fraction;
-            *level = value.round_ties_even() as u8;
+            *level = byte_from_float(value);
         }
     }
     equalized
@@ -90,7 +91,7 @@ fn clipped_equalization<'a>(rows: impl Iterator<Item = &'a [u8]>, area: usize) -
     let mut cumulated = 0;
     histogram.map(|count| {
         cumulated += count;
-        (cumulated as f32 * scale).round_ties_even() as u8
+        byte_from_float(cumulated as f32 * scale)
     })
 }
 

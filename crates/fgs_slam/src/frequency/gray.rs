@@ -9,7 +9,7 @@ const WEIGHTS: [u32; 3] = [9798, 19235, 3735];
 /// 8-bit grey, rounded to nearest.
 pub(super) fn gray_from_color(color: &Image<[u8; 3]>) -> Image<u8> {
     color.map(|&[r, g, b]| {
-        let [r, g, b] = [r, g, b].map(u32::from);
+        let (r, g, b) = (u32::from(r), u32::from(g), u32::from(b));
         ((WEIGHTS[0] * r + WEIGHTS[1] * g + WEIGHTS[2] * b + (1 << 14)) >> 15) as u8
     })
 }
@@ -31,6 +31,13 @@ mod tests {
             ([0, 128, 1], 75),
             ([17, 230, 99], 151),
             ([254, 1, 128], 91),
+            // Each of these turns over if one weight gains and another loses 2^-15.
+            ([228, 205, 35], 193),
+            ([99, 140, 173], 132),
+            ([89, 254, 42], 180),
+            ([91, 236, 33], 170),
+            ([4, 75, 20], 48),
+            ([64, 6, 253], 51),
         ];
         for (color, gray) in expected {
             assert_eq!(gray_from_color(&Image::filled(1, 1, color)).at(0, 0), gray);

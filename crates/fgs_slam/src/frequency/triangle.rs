@@ -69,6 +69,10 @@ mod tests {
         assert_eq!(threshold_of([vec![255; 50], ramp(0, 100)].concat()), 253);
         let tail = [vec![10; 50], ramp(10, 60), vec![60; 5]].concat();
         assert_eq!(threshold_of(tail), 12);
+        // Where the line ends, at the last occupied level or beyond it, decides here.
+        let counts = [28, 24, 22, 15, 14, 5, 2];
+        let steep = (20..).zip(counts).flat_map(|(level, n)| vec![level; n]);
+        assert_eq!(threshold_of(steep), 26);
     }
 
     #[test]

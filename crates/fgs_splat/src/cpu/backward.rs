@@ -2,6 +2,8 @@
 //! what its pixels contribute to the gaussian's gradient. The transmittance in front of an entry
 //! is recovered by dividing; the blend behind it is accumulated on the way.
 
+use std::hint::black_box;
+
 use pulp::NullaryFnOnce;
 
 use super::bounds::{BLOCKS, LANES, TileGrid};
@@ -10,7 +12,7 @@ use super::project::{ScreenCamera, Splat};
 use super::project_vjp::{PixelSums, SUMS, sum};
 use super::real::Real;
 use super::sample::{Lanes, Sample, TilePixels};
-use super::tiles::Entry;
+use super::tiles::{BATCH, Entry, load_splats};
 use crate::rendering::{ALPHA_MAX, ALPHA_MIN};
 
 /// Differentiates one tile. Run it through [`pulp::Arch::dispatch`].
@@ -80,40 +82,48 @@ impl<T: Real> NullaryFnOnce for BlendTileVjp<'_, T> {
             block.d_alpha[lane] = self.d_alpha[pixel];
         });
 
-        for (position, entry) in self.entries.iter().enumerate().rev() {
-            if !self.contributed[position] {
-                continue;
-            }
-            let splat = &self.splats[entry.gaussian as usize];
-            let mut lane_sums = [zero; SUMS];
-            let mut touched = entry.blocks;
-            while touched != 0 {
-                let block = touched.trailing_zeros() as usize % BLOCKS;
-                touched &= touched - 1;
-                if (position as u32) < blocks[block].most_entries_used {
-                    blend_block_vjp(
-                        splat,
-                        &pixels,
-                        block,
-                        position as u32,
-                        &mut blocks[block],
-                        &mut lane_sums,
-                    );
+        let mut batch = [Splat::default(); BATCH];
+        for (index, entries) in self.entries.chunks(BATCH).enumerate().rev() {
+            load_splats(entries, self.splats, &mut batch);
+            for (offset, (entry, splat)) in entries.iter().zip(&batch).enumerate().rev() {
+                let position = index * BATCH + offset;
+                if !self.contributed[position] {
+                    continue;
                 }
-            }
-            for (lanes, total) in lane_sums.iter().zip(&mut self.sums[position].0) {
-                *total = add_lanes(lanes);
+                let mut lane_sums = [zero; SUMS];
+                let mut touched = entry.blocks;
+                while touched != 0 {
+                    let block = touched.trailing_zeros() as usize % BLOCKS;
+                    touched &= touched - 1;
+                    if (position as u32) < blocks[block].most_entries_used {
+                        blend_block_vjp(
+                            splat,
+                            &pixels,
+                            block,
+                            position as u32,
+                            &mut blocks[block],
+                            &mut lane_sums,
+                        );
+                    }
+                }
+                self.sums[position] = add_lanes(&lane_sums);
             }
         }
     }
 }
 
-/// The sum of all lanes, by halves.
+/// The sum over all lanes of each quantity; the last two stay 0.
 #[inline(always)]
-fn add_lanes<T: Real>(lanes: &Lanes<T>) -> T {
-    let eight: [T; 8] = std::array::from_fn(|i| lanes[i] + lanes[i + 8]);
-    let four: [T; 4] = std::array::from_fn(|i| eight[i] + eight[i + 4]);
-    (four[0] + four[2]) + (four[1] + four[3])
+fn add_lanes<T: Real>(sums: &LaneSums<T>) -> PixelSums<T> {
+    // The black boxes keep the steps apart: seen as one, they become gathers of single lanes,
+    // which are several times slower.
+    let mut quarters = [[T::ZERO; 4]; 16];
+    for (lanes, quarter) in sums.iter().zip(&mut quarters) {
+        *quarter = black_box(std::array::from_fn(|i| {
+            (lanes[i] + lanes[i + 4]) + (lanes[i + 8] + lanes[i + 12])
+        }));
+    }
+    PixelSums(black_box(quarters).map(|[a, b, c, d]| (a + b) + (c + d)))
 }
 
 /// Walks over a splat, entry number `position` from 0, at the pixels of a block.
@@ -123,20 +133,20 @@ fn blend_block_vjp<T: Real>(
     pixels: &TilePixels<T>,
     block: usize,
     position: u32,
-    state: &mut Block<T>,
-    lane_sums: &mut LaneSums<T>,
+    pixel: &mut Block<T>,
+    sums: &mut LaneSums<T>,
 ) {
+    // A copy, so that a lane's choice between two fields is no conditional load.
+    let splat = *splat;
     let alpha_min = T::from_f64(ALPHA_MIN);
     let alpha_max = T::from_f64(ALPHA_MAX);
     let x = pixels.block_x[block] - splat.mean2d[0];
     let y = pixels.block_y[block] - splat.mean2d[1];
-    // Copies, so that the compiler knows them apart and makes vectors of the lanes.
-    let (lane_x, lane_y, min_n_ray) = (pixels.lane_x, pixels.lane_y, pixels.min_n_ray[block]);
-    let mut sums = *lane_sums;
-    let mut pixel = *state;
-    let splat = *splat;
+    let min_n_ray = &pixels.min_n_ray[block];
     for lane in 0..LANES {
-        let sample = Sample::new(&splat, x + lane_x[lane], y + lane_y[lane], min_n_ray[lane]);
+        let dx = x + pixels.lane_x[lane];
+        let dy = y + pixels.lane_y[lane];
+        let sample = Sample::new(&splat, dx, dy, min_n_ray[lane]);
         let took = (sample.alpha >= alpha_min) & (position < pixel.entries_used[lane]);
         let alpha = if took {
             sample.alpha.min(alpha_max)
@@ -189,7 +199,4 @@ fn blend_block_vjp<T: Real>(
         sums[sum::HTT_DX][lane] += htt * sample.dx;
         sums[sum::HTT_DY][lane] += htt * sample.dy;
     }
-    state.transmittance = pixel.transmittance;
-    state.behind = pixel.behind;
-    *lane_sums = sums;
 }

@@ -5,9 +5,9 @@ use pulp::NullaryFnOnce;
 
 use super::bounds::{TileGrid, Touch, push_touches};
 use super::project::{Projection, ScreenCamera, Splat};
-use super::project_vjp::{ParameterGradient, PixelSums, project_vjp};
+use super::project_vjp::{PixelSums, project_vjp};
 use super::real::Real;
-use super::tiles::{TileLists, Visible};
+use super::tiles::{BATCH, TileLists, Visible};
 use crate::Gaussians;
 
 /// Gaussians of a chunk: large enough that starting a task costs nothing, small enough to spread.
@@ -90,35 +90,34 @@ impl<T: Real> NullaryFnOnce for ProjectChunkVjp<'_, T> {
         let chunk = self.chunk;
         chunk.touched.clear();
         let mut start = chunk.first_touch;
-        for visible in &chunk.visible {
-            let end = chunk.first_touch + visible.touches_end as usize;
-            let mut total = PixelSums::default();
-            let mut hit = false;
-            for &entry in &self.lists.entry_from_touch[start..end] {
-                let entry = entry as usize;
-                if self.contributed[entry] {
-                    hit = true;
-                    total.add(&self.sums[entry]);
+        let mut totals = [PixelSums::default(); BATCH];
+        let mut hits = [false; BATCH];
+        for batch in chunk.visible.chunks(BATCH) {
+            for ((visible, total), hit) in batch.iter().zip(&mut totals).zip(&mut hits) {
+                let end = chunk.first_touch + visible.touches_end as usize;
+                *total = PixelSums::default();
+                *hit = false;
+                for &entry in &self.lists.entry_from_touch[start..end] {
+                    if self.contributed[entry as usize] {
+                        *hit = true;
+                        total.add(&self.sums[entry as usize]);
+                    }
                 }
+                start = end;
             }
-            start = end;
-            let index = visible.gaussian as usize;
-            let projection = Projection::new(self.gaussians, index, self.camera);
-            if let (true, Some(projection)) = (hit, projection) {
-                let gradient = project_vjp(&projection, self.camera, &total);
-                let ParameterGradient {
-                    d_mean,
-                    d_quat,
-                    d_log_scale,
-                    d_opacity_logit,
-                    d_sh,
-                } = gradient;
+            for ((visible, total), hit) in batch.iter().zip(&totals).zip(&hits) {
+                let index = visible.gaussian as usize;
+                let projection = Projection::new(self.gaussians, index, self.camera);
+                let (true, Some(projection)) = (*hit, projection) else {
+                    continue;
+                };
+                let gradient = project_vjp(&projection, self.camera, total);
                 let local = index % CHUNK;
-                self.d_means[local] = d_mean;
-                self.d_quats[local] = d_quat;
-                self.d_log_scales[local] = d_log_scale;
-                self.d_opacity_logits[local] = d_opacity_logit;
-                self.d_sh[local] = d_sh;
+                self.d_means[local] = gradient.d_mean;
+                self.d_quats[local] = gradient.d_quat;
+                self.d_log_scales[local] = gradient.d_log_scale;
+                self.d_opacity_logits[local] = gradient.d_opacity_logit;
+                self.d_sh[local] = gradient.d_sh;
                 chunk.touched.push(visible.gaussian);
             }
         }

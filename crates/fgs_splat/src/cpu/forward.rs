@@ -8,7 +8,7 @@ use super::bounds::{BLOCKS, LANES, TileGrid};
 use super::project::{ScreenCamera, Splat};
 use super::real::Real;
 use super::sample::{Lanes, Sample, TilePixels};
-use super::tiles::Entry;
+use super::tiles::{BATCH, Entry, load_splats};
 use crate::rendering::{ALPHA_MAX, ALPHA_MIN, TRANSMITTANCE_MIN};
 
 /// What the backward pass needs to know of a tile's pixels.
@@ -62,9 +62,9 @@ impl<T: Real> NullaryFnOnce for BlendTile<'_, T> {
 
     #[inline(always)]
     fn call(self) {
-        let (grid, state) = (self.grid, self.state);
+        let grid = self.grid;
         let pixels = TilePixels::new(self.tile, grid, self.camera);
-        *state = TileState::default();
+        let mut state = TileState::default();
         pixels.for_each_pixel(grid, |block, lane, _| {
             state.transmittance[block][lane] = T::ONE;
         });
@@ -78,29 +78,32 @@ impl<T: Real> NullaryFnOnce for BlendTile<'_, T> {
 
         self.contributed.fill(false);
         let mut open_blocks = u16::MAX;
-        for (position, entry) in self.entries.iter().enumerate() {
-            let splat = &self.splats[entry.gaussian as usize];
-            let mut blocks = entry.blocks & open_blocks;
-            let mut hit = false;
-            while blocks != 0 {
-                let block = blocks.trailing_zeros() as usize % BLOCKS;
-                blocks &= blocks - 1;
-                let outcome = blend_block(
-                    splat,
-                    &pixels,
-                    block,
-                    position as u32 + 1,
-                    state,
-                    &mut images[block],
-                );
-                hit |= outcome & HIT != 0;
-                if outcome & OPEN == 0 {
-                    open_blocks &= !(1 << block);
+        let mut batch = [Splat::default(); BATCH];
+        'list: for (start, entries) in (0..).step_by(BATCH).zip(self.entries.chunks(BATCH)) {
+            load_splats(entries, self.splats, &mut batch);
+            for ((position, entry), splat) in (start..).zip(entries).zip(&batch) {
+                let mut blocks = entry.blocks & open_blocks;
+                let mut hit = false;
+                while blocks != 0 {
+                    let block = blocks.trailing_zeros() as usize % BLOCKS;
+                    blocks &= blocks - 1;
+                    let outcome = blend_block(
+                        splat,
+                        &pixels,
+                        block,
+                        position as u32 + 1,
+                        &mut state,
+                        &mut images[block],
+                    );
+                    hit |= outcome & HIT != 0;
+                    if outcome & OPEN == 0 {
+                        open_blocks &= !(1 << block);
+                    }
                 }
-            }
-            self.contributed[position] = hit;
-            if open_blocks == 0 {
-                break;
+                self.contributed[position] = hit;
+                if open_blocks == 0 {
+                    break 'list;
+                }
             }
         }
 
@@ -110,6 +113,7 @@ impl<T: Real> NullaryFnOnce for BlendTile<'_, T> {
             self.depth_m[pixel] = image.depth[lane];
             self.alpha[pixel] = T::ONE - state.transmittance[block][lane];
         });
+        *self.state = state;
     }
 }
 
@@ -128,21 +132,22 @@ fn blend_block<T: Real>(
     state: &mut TileState<T>,
     image: &mut BlockImage<T>,
 ) -> u32 {
+    // A copy, so that a lane's choice between two fields is no conditional load.
+    let splat = *splat;
     let alpha_min = T::from_f64(ALPHA_MIN);
     let alpha_max = T::from_f64(ALPHA_MAX);
     let transmittance_min = T::from_f64(TRANSMITTANCE_MIN);
     let x = pixels.block_x[block] - splat.mean2d[0];
     let y = pixels.block_y[block] - splat.mean2d[1];
-    // Copies, so that the compiler knows them apart and makes vectors of the lanes.
-    let (lane_x, lane_y, min_n_ray) = (pixels.lane_x, pixels.lane_y, pixels.min_n_ray[block]);
-    let mut transmittance = state.transmittance[block];
-    let mut entries_used = state.entries_used[block];
-    let mut sums = *image;
-    let splat = *splat;
+    let min_n_ray = &pixels.min_n_ray[block];
+    let transmittance = &mut state.transmittance[block];
+    let entries_used = &mut state.entries_used[block];
     let mut taken = [0_u32; LANES];
     let mut open = [0_u32; LANES];
     for lane in 0..LANES {
-        let sample = Sample::new(&splat, x + lane_x[lane], y + lane_y[lane], min_n_ray[lane]);
+        let dx = x + pixels.lane_x[lane];
+        let dy = y + pixels.lane_y[lane];
+        let sample = Sample::new(&splat, dx, dy, min_n_ray[lane]);
         let before = transmittance[lane];
         let takes = (sample.alpha >= alpha_min) & (before >= transmittance_min);
         let alpha = if takes {
@@ -151,10 +156,10 @@ fn blend_block<T: Real>(
             T::ZERO
         };
         let weight = before * alpha;
-        sums.red[lane] += weight * splat.color[0];
-        sums.green[lane] += weight * splat.color[1];
-        sums.blue[lane] += weight * splat.color[2];
-        sums.depth[lane] += weight * sample.depth;
+        image.red[lane] += weight * splat.color[0];
+        image.green[lane] += weight * splat.color[1];
+        image.blue[lane] += weight * splat.color[2];
+        image.depth[lane] += weight * sample.depth;
         let after = before * (T::ONE - alpha);
         transmittance[lane] = after;
         taken[lane] = u32::from(takes);
@@ -166,8 +171,5 @@ fn blend_block<T: Real>(
         entries_used[lane] = entries_used[lane].max(entries * taken[lane]);
         outcome |= HIT * taken[lane] | OPEN * open[lane];
     }
-    state.transmittance[block] = transmittance;
-    state.entries_used[block] = entries_used;
-    *image = sums;
     outcome
 }

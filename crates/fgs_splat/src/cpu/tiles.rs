@@ -7,6 +7,7 @@
 use std::ops::Range;
 
 use super::bounds::{TileGrid, Touch};
+use super::project::Splat;
 use super::real::Real;
 
 /// A gaussian with at least one touch.
@@ -23,6 +24,22 @@ pub(super) struct Visible {
 pub(super) struct Entry {
     pub gaussian: u32,
     pub blocks: u16,
+}
+
+/// Entries whose splats are loaded together, so that the waits for memory overlap: a tile's
+/// gaussians lie anywhere.
+pub(super) const BATCH: usize = 32;
+
+/// Copies the splats of up to `BATCH` entries.
+#[inline(always)]
+pub(super) fn load_splats<T: Real>(
+    entries: &[Entry],
+    splats: &[Splat<T>],
+    batch: &mut [Splat<T>; BATCH],
+) {
+    for (entry, splat) in entries.iter().zip(batch) {
+        *splat = splats[entry.gaussian as usize];
+    }
 }
 
 /// The lists of all tiles, one after the other.
