@@ -7,7 +7,7 @@
 //! nothing but the lengths of the translations.
 
 use fgs_geom::{Camera, FrameIndex, Image, RgbdFrame, Se3};
-use fgs_gicp::{Alignment, DepthGrid, Kernel, Point, PointMap, Settings, align};
+use fgs_gicp::{Alignment, DepthGrid, Kernel, MIN_EIGENVALUE, Point, PointMap, Settings, align};
 
 use super::statistics::median_depth;
 
@@ -216,7 +216,7 @@ fn points(depth_m: &Image<f32>, camera: &Camera, unit: f32) -> Vec<Point> {
     grid(camera)
         .surface_points(&depth, camera)
         .iter()
-        .map(|point| point.disk())
+        .map(|point| point.disk(MIN_EIGENVALUE, 0.0))
         .collect()
 }
 
