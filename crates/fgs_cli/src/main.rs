@@ -3,6 +3,7 @@
 
 mod console;
 mod demo;
+mod doctor;
 mod eval;
 mod evaluation;
 mod failure;
@@ -47,6 +48,7 @@ struct Cli {
 
 #[derive(Subcommand)]
 enum Command {
+    Doctor(doctor::DoctorArgs),
     Run(run::RunArgs),
     Eval(eval::EvalArgs),
     Render(render::RenderArgs),
@@ -56,6 +58,7 @@ enum Command {
 
 fn main() -> ExitCode {
     let outcome = match Cli::parse().command {
+        Command::Doctor(args) => doctor::run(&args),
         Command::Run(args) => run::run(&args),
         Command::Eval(args) => eval::run(&args),
         Command::Render(args) => render::run(&args),

@@ -1,0 +1,116 @@
+//! Whether depth is in metres: against known poses, whose translations have a length, else by what
+//! rooms and sensors allow.
+
+use super::motion_fit::MotionFit;
+use super::report::Check;
+
+const NAME: &str = "depth scale";
+
+/// Scales in use: millimetres (most sensors), TUM RGB-D, Replica, tenths of a millimetre.
+const USUAL_SCALES: [f64; 4] = [1000.0, 5000.0, 6553.5, 10000.0];
+
+/// Poses and depth of real recordings disagree by up to 4 %.
+const MAX_ERROR: f64 = 0.08;
+
+/// In standard errors, estimated from a few pairs only.
+const MIN_SIGNIFICANCE: f64 = 5.0;
+
+/// A scale this close to a usual one is taken for it.
+const SNAP: f64 = 0.06;
+
+/// Median depths of a hand-held recording, metres: from a desk to a hall. A room taken for five
+/// times smaller (1000 for 5000 values a metre) comes out at 0.4 to 0.65 m.
+const USUAL_MEDIAN_M: [f64; 2] = [0.7, 6.0];
+
+/// `fit` is how the motions by registration fit known poses.
+pub fn check(depth_scale: f64, median_depth_m: Option<f64>, fit: Option<&MotionFit>) -> Check {
+    let Some(median) = median_depth_m else {
+        return Check::unknown(NAME, "there is no depth".into());
+    };
+    if let Some(fit) = fit
+        && fit.scale > 0.0
+        && fit.scale_error <= 0.3 * MAX_ERROR * fit.scale
+    {
+        let off = fit.scale.ln().abs();
+        if off > (1.0 + MAX_ERROR).ln() && off >= MIN_SIGNIFICANCE * fit.scale_error / fit.scale {
+            let right = snapped(depth_scale * fit.scale);
+            let seen = format!("depth is {:.2} times as long as the poses say", fit.scale);
+            let advice = format!("set depth_scale = {right} (it is {depth_scale})");
+            return Check::problem(NAME, seen, advice);
+        }
+        let seen = format!("depth and poses agree in length to {:.1} %", 100.0 * off);
+        return Check::ok(NAME, seen);
+    }
+    let [low, high] = USUAL_MEDIAN_M;
+    let seen = format!("the median depth is {median:.2} m");
+    if (low..=high).contains(&median) {
+        return Check::ok(NAME, seen);
+    }
+    let raw = median * depth_scale;
+    let fitting: Vec<String> = USUAL_SCALES
+        .iter()
+        .filter(|scale| (low..=high).contains(&(raw / **scale)))
+        .map(|scale| format!("{scale} ({:.2} m)", raw / scale))
+        .collect();
+    let advice = if fitting.is_empty() {
+        "check depth_scale, the value in a depth image that means 1 m".to_owned()
+    } else {
+        let usual = fitting.join(", ");
+        format!("if that is not so, depth_scale = {depth_scale} is wrong; usual are {usual}")
+    };
+    Check::warn(NAME, seen, advice)
+}
+
+/// The usual scale nearby, else three digits.
+fn snapped(scale: f64) -> f64 {
+    let usual = USUAL_SCALES
+        .into_iter()
+        .find(|usual| (scale / usual).ln().abs() <= SNAP);
+    usual.unwrap_or_else(|| {
+        let digit = 10f64.powf(scale.log10().floor() - 2.0);
+        (scale / digit).round() * digit
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::doctor::report::Verdict;
+
+    fn with_poses(scale: f64, scale_error: f64) -> Check {
+        let fit = MotionFit {
+            misfit: 0.1,
+            scale,
+            scale_error,
+        };
+        check(5000.0, Some(2.0), Some(&fit))
+    }
+
+    #[test]
+    fn poses_give_the_scale() {
+        assert_eq!(with_poses(1.03, 0.001).verdict, Verdict::Ok);
+        assert_eq!(with_poses(0.97, 0.001).verdict, Verdict::Ok);
+        let odd = with_poses(1.15, 0.01);
+        assert_eq!(odd.verdict, Verdict::Problem);
+        assert_eq!(odd.advice.unwrap(), "set depth_scale = 5750 (it is 5000)");
+        let millimetres = with_poses(0.196, 0.001);
+        assert_eq!(
+            millimetres.advice.unwrap(),
+            "set depth_scale = 1000 (it is 5000)"
+        );
+        // Too uncertain to say: falls back on the median depth.
+        assert_eq!(with_poses(1.25, 0.1).seen, "the median depth is 2.00 m");
+    }
+
+    #[test]
+    fn without_poses_the_median_depth_must_be_usual() {
+        assert_eq!(check(5000.0, Some(2.0), None).verdict, Verdict::Ok);
+        let far = check(1000.0, Some(10.0), None);
+        assert_eq!(far.verdict, Verdict::Warn);
+        assert!(far.advice.unwrap().contains("5000 (2.00 m)"));
+        let near = check(5000.0, Some(0.4), None);
+        assert!(near.advice.unwrap().contains("1000 (2.00 m)"));
+        assert_eq!(check(5000.0, None, None).verdict, Verdict::Unknown);
+        assert_eq!(check(5000.0, Some(1e4), None).verdict, Verdict::Warn);
+    }
+}

@@ -1,0 +1,332 @@
+//! Whether depth is registered to colour: steps in depth are edges of things, and edges of things
+//! show in colour at the same pixel.
+//!
+//! Input: some frames. The steps are moved and stretched about the image's centre until they lie
+//! on colour edges best; on registered recordings that is where they are.
+
+use fgs_geom::{Image, RgbdFrame, has_depth};
+
+use super::report::Check;
+
+const NAME: &str = "depth on colour";
+
+/// Shifts are searched on images about this wide, where a pixel is two of 640.
+const WORKING_WIDTH: usize = 320;
+
+/// 24 of 640 pixels: an unregistered Kinect is off by 10 to 20.
+const MAX_SHIFT: i32 = 12;
+
+/// Stretches searched, per cent: fields of view of colour and depth differ by 5 to 20 %.
+const STRETCHES: [i32; 13] = [-18, -15, -12, -9, -6, -3, 0, 3, 6, 9, 12, 15, 18];
+
+/// Neighbouring depths that differ by more than this share are a step.
+const MIN_STEP: f32 = 0.1;
+
+/// Structured light leaves a shadow without depth beside a step, up to 20 pixels of 640 wide.
+const MAX_SHADOW: usize = 10;
+
+/// Fewer steps than this say nothing.
+const MIN_STEPS: usize = 2000;
+
+/// Shift that is reported, pixels of the working image; calibrations of good recordings are a
+/// pixel of 640 or two off.
+const MIN_SHIFT: f64 = 2.0;
+
+/// The agreement above that of random places grows by this factor at least, ...
+const MIN_GAIN: f64 = 1.3;
+
+/// ... and by this many standard errors, from the frames' scatter.
+const MIN_SIGNIFICANCE: f64 = 4.0;
+
+const SIDE: usize = 2 * MAX_SHIFT as usize + 1;
+
+/// Collects the agreement of depth steps with colour edges over frames.
+#[derive(Default)]
+pub struct EdgeMatcher {
+    /// Of each frame, the agreement for each (stretch, row shift, column shift).
+    scores: Vec<Vec<f32>>,
+    steps: usize,
+    /// Pixels of the recording in one of the working image.
+    reduction: usize,
+    width: usize,
+}
+
+/// A step of depth between two pixels, in the working image.
+struct Step {
+    u: f32,
+    v: f32,
+    is_vertical: bool,
+}
+
+impl EdgeMatcher {
+    /// Takes a frame.
+    pub fn add(&mut self, frame: &RgbdFrame) {
+        self.width = frame.camera.width;
+        self.reduction = (self.width as f64 / WORKING_WIDTH as f64).round().max(1.0) as usize;
+        let steps = steps(&frame.depth_m, self.reduction);
+        if steps.is_empty() {
+            return;
+        }
+        let luma = reduced_luma(&frame.color, self.reduction);
+        let (horizontal, vertical) = (edges(&luma, 1, 0), edges(&luma, 0, 1));
+        self.steps += steps.len();
+        self.scores.push(agreement(&steps, &horizontal, &vertical));
+    }
+
+    /// What the frames say together.
+    pub fn check(&self) -> Check {
+        if self.steps < MIN_STEPS || self.scores.len() < 3 {
+            let seen = "too few steps in depth to compare with edges in colour".into();
+            return Check::unknown(NAME, seen);
+        }
+        let n = self.scores.len() as f64;
+        let places = STRETCHES.len() * SIDE * SIDE;
+        let total: Vec<f64> = (0..places)
+            .map(|i| {
+                self.scores
+                    .iter()
+                    .map(|score| f64::from(score[i]))
+                    .sum::<f64>()
+                    / n
+            })
+            .collect();
+        let best_of = |keep: &dyn Fn(usize) -> bool| {
+            (0..places)
+                .filter(|i| keep(*i))
+                .max_by(|a, b| total[*a].total_cmp(&total[*b]))
+        };
+        let is_still = |place: usize| {
+            let (stretch, du, dv) = shift_at(place);
+            stretch == 0 && du.abs() <= 1 && dv.abs() <= 1
+        };
+        let (Some(best), Some(still)) = (best_of(&|_| true), best_of(&is_still)) else {
+            return Check::unknown(NAME, "nothing to compare".into());
+        };
+        let random = total.iter().sum::<f64>() / places as f64;
+        let gain = (total[best] - random) / (total[still] - random).max(1e-6);
+        let differences: Vec<f64> = self
+            .scores
+            .iter()
+            .map(|s| f64::from(s[best]) - f64::from(s[still]))
+            .collect();
+        let mean = differences.iter().sum::<f64>() / n;
+        let variance = differences.iter().map(|d| (d - mean).powi(2)).sum::<f64>() / (n - 1.0);
+        let significance = mean / (variance / n).sqrt().max(1e-9);
+        let (stretch, du, dv) = shift_at(best);
+        // At the image's side edge, the shift that the stretch alone amounts to.
+        let edge =
+            f64::from(stretch.abs()) / 100.0 * 0.5 * self.width as f64 / self.reduction as f64;
+        let size = f64::from(du).hypot(f64::from(dv)).max(edge);
+        if size < MIN_SHIFT || gain < MIN_GAIN || significance < MIN_SIGNIFICANCE {
+            return Check::ok(NAME, "steps in depth lie on edges in colour".into());
+        }
+        let px = |shift: i32| shift * self.reduction as i32;
+        let stretched = match stretch {
+            0 => String::new(),
+            s => format!(" and stretched by {s} % about the centre"),
+        };
+        let seen = format!(
+            "steps in depth lie on edges in colour only when depth is moved by {:+} columns and \
+             {:+} rows{stretched}",
+            px(du),
+            px(dv)
+        );
+        let advice = "register depth to the colour camera: record with the driver's aligned depth \
+                      stream, or project depth into the colour image with the calibration of both";
+        Check::problem(NAME, seen, advice.into())
+    }
+}
+
+fn shift_at(place: usize) -> (i32, i32, i32) {
+    let shift = |i: usize| i as i32 - MAX_SHIFT;
+    let (stretch, rest) = (place / (SIDE * SIDE), place % (SIDE * SIDE));
+    (STRETCHES[stretch], shift(rest % SIDE), shift(rest / SIDE))
+}
+
+/// The mean strength of colour edges under the steps, for each stretch and shift.
+fn agreement(steps: &[Step], horizontal: &Image<f32>, vertical: &Image<f32>) -> Vec<f32> {
+    let center = [horizontal.width(), horizontal.height()].map(|size| 0.5 * (size as f32 - 1.0));
+    let mut scores = Vec::with_capacity(STRETCHES.len() * SIDE * SIDE);
+    for stretch in STRETCHES {
+        let factor = 1.0 + stretch as f32 / 100.0;
+        let mut sums = [0f32; SIDE * SIDE];
+        let mut counts = [0u32; SIDE * SIDE];
+        for step in steps {
+            let edges = if step.is_vertical {
+                vertical
+            } else {
+                horizontal
+            };
+            // A step between two pixels is an edge at both. Always the lower one (rounding goes
+            // up), or rows and columns would be biased.
+            let pixel = |x: f32, c: f32| (c + factor * (x - c) - 0.25).round() as i32;
+            let (u, v) = (pixel(step.u, center[0]), pixel(step.v, center[1]));
+            for dv in -MAX_SHIFT..=MAX_SHIFT {
+                let row = v + dv;
+                if !(0..edges.height() as i32).contains(&row) {
+                    continue;
+                }
+                let row = edges.row(row as usize);
+                let first = (dv + MAX_SHIFT) as usize * SIDE;
+                for du in -MAX_SHIFT..=MAX_SHIFT {
+                    if let Some(edge) = usize::try_from(u + du).ok().and_then(|u| row.get(u)) {
+                        let place = first + (du + MAX_SHIFT) as usize;
+                        sums[place] += edge;
+                        counts[place] += 1;
+                    }
+                }
+            }
+        }
+        scores.extend(
+            sums.iter()
+                .zip(counts)
+                .map(|(sum, count)| sum / count.max(1) as f32),
+        );
+    }
+    scores
+}
+
+/// Steps between horizontal and vertical neighbours, at the border of the nearer thing.
+fn steps(depth_m: &Image<f32>, reduction: usize) -> Vec<Step> {
+    let (width, height) = (depth_m.width(), depth_m.height());
+    let mut steps = Vec::new();
+    let to_working = |x: f32| (x + 0.5) / reduction as f32 - 0.5;
+    // Lines every `reduction` pixels are as dense as the working image.
+    for v in (0..height).step_by(reduction) {
+        along(
+            width,
+            |u| depth_m.at(u, v),
+            |u| {
+                steps.push(Step {
+                    u: to_working(u),
+                    v: to_working(v as f32),
+                    is_vertical: false,
+                });
+            },
+        );
+    }
+    for u in (0..width).step_by(reduction) {
+        along(
+            height,
+            |v| depth_m.at(u, v),
+            |v| {
+                steps.push(Step {
+                    u: to_working(u as f32),
+                    v: to_working(v),
+                    is_vertical: true,
+                });
+            },
+        );
+    }
+    steps
+}
+
+/// Calls `found` with the place of each step on a line of pixels.
+fn along(len: usize, depth_at: impl Fn(usize) -> f32, mut found: impl FnMut(f32)) {
+    let mut last: Option<(usize, f32)> = None;
+    for place in 0..len {
+        let depth = depth_at(place);
+        if !has_depth(depth) {
+            continue;
+        }
+        if let Some((last_place, last_depth)) = last
+            && place - last_place <= MAX_SHADOW
+            && (depth - last_depth).abs() > MIN_STEP * depth.min(last_depth)
+        {
+            let nearer_ends = last_depth < depth;
+            found(if nearer_ends {
+                last_place as f32 + 0.5
+            } else {
+                place as f32 - 0.5
+            });
+        }
+        last = Some((place, depth));
+    }
+}
+
+/// Strength of edges along one direction, 0 to 1: half at twice the image's mean.
+fn edges(luma: &Image<f32>, du: usize, dv: usize) -> Image<f32> {
+    let slope = Image::from_fn(luma.width(), luma.height(), |u, v| {
+        let ahead = luma.at(
+            (u + du).min(luma.width() - 1),
+            (v + dv).min(luma.height() - 1),
+        );
+        (ahead - luma.at(u.saturating_sub(du), v.saturating_sub(dv))).abs()
+    });
+    let mean = slope.data().iter().sum::<f32>() / slope.data().len() as f32;
+    let half = (2.0 * mean).max(1e-3);
+    slope.map(|slope| slope / (slope + half))
+}
+
+fn reduced_luma(color: &Image<[u8; 3]>, reduction: usize) -> Image<f32> {
+    Image::from_fn(
+        color.width() / reduction,
+        color.height() / reduction,
+        |u, v| {
+            let rows = v * reduction..(v + 1) * reduction;
+            let pixels = rows.flat_map(|row| &color.row(row)[u * reduction..(u + 1) * reduction]);
+            let sum: f32 = pixels
+                .map(|rgb| rgb.iter().map(|c| f32::from(*c)).sum::<f32>())
+                .sum();
+            sum / (3 * reduction * reduction) as f32
+        },
+    )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::doctor::report::Verdict;
+    use crate::doctor::test_room;
+
+    /// Depth of pixel (u, v) is taken from `source(u, v)`.
+    fn check_with(source: impl Fn(f32, f32) -> (f32, f32)) -> Check {
+        let mut matcher = EdgeMatcher::default();
+        for i in 0..24 {
+            let mut frame = test_room::frame(3 * i);
+            let depth_m = &frame.depth_m;
+            frame.depth_m = Image::from_fn(depth_m.width(), depth_m.height(), |u, v| {
+                let (u, v) = source(u as f32, v as f32);
+                let inside = u >= 0.0 && v >= 0.0;
+                inside
+                    .then(|| depth_m.get(u as usize, v as usize))
+                    .flatten()
+                    .unwrap_or(0.0)
+            });
+            matcher.add(&frame);
+        }
+        matcher.check()
+    }
+
+    #[test]
+    fn registered_depth_is_left_alone() {
+        assert_eq!(check_with(|u, v| (u, v)).verdict, Verdict::Ok);
+        assert_eq!(check_with(|u, v| (u + 1.0, v)).verdict, Verdict::Ok);
+        assert_eq!(EdgeMatcher::default().check().verdict, Verdict::Unknown);
+    }
+
+    #[test]
+    fn shifts_and_stretches_are_named() {
+        let moved = check_with(|u, v| (u - 7.0, v + 4.0));
+        assert_eq!(moved.verdict, Verdict::Problem, "{}", moved.seen);
+        let names_shift = ["-6", "-7", "-8"]
+            .iter()
+            .any(|du| moved.seen.contains(&format!("{du} columns")));
+        assert!(names_shift, "{}", moved.seen);
+        let stretched = check_with(|u, v| (108.0 + (u - 108.0) / 1.1, 80.0 + (v - 80.0) / 1.1));
+        assert_eq!(stretched.verdict, Verdict::Problem, "{}", stretched.seen);
+        assert!(
+            stretched.seen.contains("stretched by -9 %"),
+            "{}",
+            stretched.seen
+        );
+    }
+
+    #[test]
+    fn a_shadow_does_not_hide_a_step() {
+        let line = [1.0, 1.0, 0.0, 0.0, 2.0, 2.0, f32::NAN, 0.9];
+        let mut places = Vec::new();
+        along(line.len(), |i| line[i], |place| places.push(place));
+        assert_eq!(places, [1.5, 6.5]);
+    }
+}

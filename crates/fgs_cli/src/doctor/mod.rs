@@ -1,0 +1,195 @@
+//! `fgs doctor`: looks at a recording before it is run, and says what is wrong with it and what to
+//! change.
+//!
+//! [`survey`] reads frames and registers neighbours; every check is a function in a file of its
+//! own, from what the survey collected to a line of the [`report`].
+
+mod color_misfit;
+mod depth_scale;
+mod depth_to_color;
+mod exposure;
+mod files;
+mod frame_pairs;
+mod intrinsics;
+mod motion_fit;
+mod neighbors;
+mod pose_convention;
+mod poses;
+mod report;
+mod self_calibration;
+mod statistics;
+mod survey;
+#[cfg(test)]
+mod test_room;
+#[cfg(test)]
+mod tests;
+mod timing;
+mod valid_depth;
+
+use std::path::PathBuf;
+
+use clap::Args;
+use fgs_data::{Dataset, Format};
+use fgs_geom::{Camera, Se3};
+use nalgebra::Vector3;
+
+use crate::console::Console;
+use crate::failure::{EXIT_DONE, EXIT_FAILED};
+use crate::recording;
+use crate::settings::Settings;
+
+use frame_pairs::FramePair;
+use motion_fit::Motion;
+use report::{Found, Report, Verdict};
+use survey::Survey;
+
+/// Look at a recording before running it
+///
+/// Says what is there and looks for what commonly is wrong with recordings: gaps, missing depth,
+/// jumps of exposure, wrong depth scale or intrinsics, depth that is not registered to colour, poses
+/// in another convention; and what to change.
+#[derive(Debug, Args)]
+#[command(after_long_help = "\
+Examples:
+  fgs doctor recordings/desk
+  fgs doctor recordings/desk --camera kinect.toml --json
+
+Camera: --camera, then the one beside the recording, then [camera] in --config.
+
+ok: nothing found. unknown: the recording does not allow to tell. warn: results may suffer.
+PROBLEM: results will be wrong; the line below says what to change.
+
+Exit code: 0 no problem, 1 a problem or the recording cannot be opened, 2 to be corrected by you.")]
+pub struct DoctorArgs {
+    /// Folder of the recording
+    dataset: PathBuf,
+    /// Settings, as TOML; only their [camera] counts
+    #[arg(long, value_name = "FILE")]
+    config: Option<PathBuf>,
+    /// Camera file; goes before the one beside the recording
+    #[arg(long, value_name = "FILE")]
+    camera: Option<PathBuf>,
+    /// Write the report to stdout as JSON
+    #[arg(long)]
+    json: bool,
+}
+
+/// Executes `fgs doctor`.
+///
+/// # Errors
+/// If the recording or its camera is refused.
+pub fn run(args: &DoctorArgs) -> anyhow::Result<u8> {
+    let console = Console::new(args.json);
+    let mut settings = Settings::load(args.config.as_deref(), &[])?;
+    let dataset = recording::open(&args.dataset, args.camera.as_deref(), &mut settings)?;
+    let bar = console.progress(survey::frames_to_read(dataset.len()), "looking");
+    let report = examine(&dataset, || bar.inc(1));
+    bar.finish_and_clear();
+    console.event("doctor", &report);
+    console.say(&report);
+    Ok(if report.has_problem() {
+        EXIT_FAILED
+    } else {
+        EXIT_DONE
+    })
+}
+
+/// Reads the recording and makes every check.
+fn examine(dataset: &Dataset, progress: impl FnMut()) -> Report {
+    let times: Vec<f64> = dataset.timestamps().collect();
+    let survey = Survey::read(dataset, progress);
+    let frames_read = survey.frames_read();
+    let pairs = &survey.pairs.pairs;
+    let edges = survey.edges.check();
+    let is_registered = edges.verdict != Verdict::Problem;
+    let (intrinsics, calibration) = intrinsics::check(pairs, dataset.camera(), is_registered);
+    // With wrong intrinsics the registered motions are wrong too: the poses are then compared with
+    // those of the intrinsics that fit.
+    let first_from_second: Vec<Se3> = match &calibration {
+        Some(calibration) => calibration.first_from_second.clone(),
+        None => pairs.iter().map(|pair| pair.first_from_second).collect(),
+    };
+    let mut checks = vec![
+        files::check(&survey.unreadable, frames_read),
+        timing::check(&times, dataset.format() != Format::Tum),
+        valid_depth::check(&survey.depth_shares),
+        survey.exposure.check(),
+        edges,
+        neighbors::check(&survey.pairs.lost, survey.depth_shares.len()),
+        intrinsics,
+    ];
+    let mut motion_fit = None;
+    if let Some(truth) = dataset.ground_truth() {
+        let (motions, poses): (Vec<Motion>, Vec<[Se3; 2]>) = pairs
+            .iter()
+            .zip(first_from_second)
+            .filter_map(|(pair, first_from_second)| {
+                let pose = [
+                    truth.at(pair.first.timestamp_secs)?,
+                    truth.at(pair.second.timestamp_secs)?,
+                ];
+                let points = probe_points(pair, dataset.camera());
+                Some((
+                    Motion {
+                        first_from_second,
+                        points,
+                    },
+                    pose,
+                ))
+            })
+            .unzip();
+        let (check, fit) = poses::check(&motions, &poses);
+        checks.push(check);
+        motion_fit = fit;
+    }
+    let depth_scale = dataset.camera_file().depth_scale();
+    let median_depth = statistics::median(survey.median_depths_m);
+    checks.push(depth_scale::check(
+        depth_scale,
+        median_depth,
+        motion_fit.as_ref(),
+    ));
+    Report {
+        found: found(dataset, &times, frames_read),
+        checks,
+    }
+}
+
+/// The image's corners and centre at the pair's median depth.
+fn probe_points(pair: &FramePair, camera: &Camera) -> Vec<Vector3<f64>> {
+    let (right, bottom) = (camera.width as f64 - 1.0, camera.height as f64 - 1.0);
+    [
+        [0.0, 0.0],
+        [right, 0.0],
+        [0.0, bottom],
+        [right, bottom],
+        [0.5 * right, 0.5 * bottom],
+    ]
+    .map(|[u, v]| camera.unproject(u, v, pair.median_depth_m))
+    .into()
+}
+
+fn found(dataset: &Dataset, times: &[f64], frames_read: usize) -> Found {
+    let camera = dataset.camera();
+    let k = camera.intrinsics;
+    let duration = times
+        .last()
+        .zip(times.first())
+        .map(|(last, first)| last - first);
+    Found {
+        format: dataset.format().to_string(),
+        frames: dataset.len(),
+        frames_read,
+        known_poses: dataset
+            .ground_truth()
+            .map_or(0, |truth| truth.poses().len()),
+        duration_secs: duration.unwrap_or(0.0),
+        width: camera.width,
+        height: camera.height,
+        fx: k.fx,
+        fy: k.fy,
+        cx: k.cx,
+        cy: k.cy,
+        depth_scale: dataset.camera_file().depth_scale(),
+    }
+}

@@ -1,0 +1,137 @@
+//! Reads frames for the checks: all of a short recording, stretches of a long one.
+
+use std::ops::Range;
+
+use fgs_data::Dataset;
+use fgs_geom::{FrameIndex, RgbdFrame};
+
+use super::depth_to_color::EdgeMatcher;
+use super::exposure::ExposureWatch;
+use super::frame_pairs::PairBuilder;
+use super::statistics::{depth_share, median_depth};
+use super::timing;
+
+/// Frames read at most: about 10 s of one core at 640x480.
+const MAX_FRAMES: usize = 600;
+
+/// A long recording is read in stretches of a second of the usual 30 Hz.
+const STRETCH: usize = 30;
+
+/// Frames whose edges are compared, evenly spread: enough to tell a shift of a pixel.
+const EDGE_FRAMES: usize = 24;
+
+/// What the frames read have shown.
+pub struct Survey {
+    /// Frames that cannot be read, and why.
+    pub unreadable: Vec<(FrameIndex, String)>,
+    /// Share of pixels with a depth.
+    pub depth_shares: Vec<(FrameIndex, f64)>,
+    /// Median depth of each frame that has any, metres.
+    pub median_depths_m: Vec<f64>,
+    /// Brightness.
+    pub exposure: ExposureWatch,
+    /// Edges.
+    pub edges: EdgeMatcher,
+    /// Motions.
+    pub pairs: PairBuilder,
+}
+
+impl Survey {
+    /// Reads the recording; `progress` is called after every frame.
+    pub fn read(dataset: &Dataset, mut progress: impl FnMut()) -> Self {
+        let mut survey = Self {
+            unreadable: Vec::new(),
+            depth_shares: Vec::new(),
+            median_depths_m: Vec::new(),
+            exposure: ExposureWatch::default(),
+            edges: EdgeMatcher::default(),
+            pairs: PairBuilder::new(*dataset.camera()),
+        };
+        let times: Vec<f64> = dataset.timestamps().collect();
+        let usual_secs = timing::usual_interval(&times).unwrap_or(f64::INFINITY);
+        let stretches = stretches(dataset.len());
+        let edge_every = frames_to_read(dataset.len()).div_ceil(EDGE_FRAMES);
+        for stretch in stretches {
+            survey.interrupt();
+            for (index, frame) in stretch.clone().zip(dataset.frames(stretch)) {
+                progress();
+                if index > 0 && timing::is_gap(times[index] - times[index - 1], usual_secs) {
+                    survey.interrupt();
+                }
+                match frame {
+                    Ok(frame) => survey.add(&frame, edge_every),
+                    Err(error) => {
+                        survey
+                            .unreadable
+                            .push((FrameIndex(index), error.to_string()));
+                        survey.interrupt();
+                    }
+                }
+            }
+        }
+        survey.interrupt();
+        survey
+    }
+
+    /// How many frames were read or tried.
+    pub fn frames_read(&self) -> usize {
+        self.depth_shares.len() + self.unreadable.len()
+    }
+
+    fn add(&mut self, frame: &RgbdFrame, edge_every: usize) {
+        if self.depth_shares.len().is_multiple_of(edge_every) {
+            self.edges.add(frame);
+        }
+        self.depth_shares
+            .push((frame.index, depth_share(&frame.depth_m)));
+        self.median_depths_m
+            .extend(median_depth(&frame.depth_m).map(f64::from));
+        self.exposure.add(frame.index, &frame.color);
+        self.pairs.add(frame);
+    }
+
+    fn interrupt(&mut self) {
+        self.exposure.interrupt();
+        self.pairs.interrupt();
+    }
+}
+
+/// How many frames of a recording of this length are read.
+pub fn frames_to_read(len: usize) -> usize {
+    stretches(len).iter().map(ExactSizeIterator::len).sum()
+}
+
+/// The frames to read, evenly spread stretches in order.
+fn stretches(len: usize) -> Vec<Range<usize>> {
+    if len <= MAX_FRAMES {
+        return std::iter::once(0..len).collect();
+    }
+    let count = MAX_FRAMES / STRETCH;
+    let stretch = |i: usize| {
+        let start = i * (len - STRETCH) / (count - 1);
+        start..start + STRETCH
+    };
+    (0..count).map(stretch).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn stretches_reach_from_end_to_end_without_overlap() {
+        assert_eq!(stretches(500).len(), 1);
+        assert_eq!(stretches(500)[0], 0..500);
+        for len in [601, 5000] {
+            let stretches = stretches(len);
+            assert_eq!(stretches.len(), 20);
+            assert_eq!((stretches[0].start, stretches[19].end), (0, len));
+            assert!(
+                stretches
+                    .windows(2)
+                    .all(|pair| pair[0].end <= pair[1].start),
+                "{len}"
+            );
+        }
+    }
+}

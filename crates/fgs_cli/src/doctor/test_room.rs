@@ -1,0 +1,78 @@
+//! A box room with two blocks in it, seen exactly: depth and a pattern of brightness.
+
+use fgs_geom::{Camera, FrameIndex, Image, Intrinsics, RgbdFrame, Se3};
+use nalgebra::{Vector3, Vector6};
+
+/// Corners of the room and of the blocks, metres; the camera starts at the origin looking along z.
+const BOXES: [[[f64; 3]; 2]; 3] = [
+    [[-1.1, -0.9, -1.0], [1.3, 1.3, 3.1]],
+    [[-0.9, 0.1, 1.7], [-0.3, 1.3, 2.2]],
+    [[0.4, -0.6, 1.4], [0.8, 0.5, 1.8]],
+];
+
+/// Not square, off-centre.
+pub fn camera() -> Camera {
+    let intrinsics = Intrinsics {
+        fx: 180.0,
+        fy: 184.0,
+        cx: 101.0,
+        cy: 85.0,
+    };
+    Camera::new(216, 160, intrinsics).unwrap()
+}
+
+/// A hand-held walk: turns about all three axes, about 1 degree and 1 cm a frame.
+pub fn world_from_camera(index: usize) -> Se3 {
+    let t = index as f64 / 30.0;
+    Se3::exp(&Vector6::new(
+        0.2 * (2.0 * t).sin(),
+        0.3 * (1.7 * t).sin(),
+        0.15 * (2.3 * t).sin(),
+        0.25 * (1.5 * t).sin(),
+        0.1 * (2.1 * t).sin(),
+        0.2 * (1.9 * t).sin(),
+    ))
+}
+
+/// Frame `index` of the walk.
+pub fn frame(index: usize) -> RgbdFrame {
+    let camera = camera();
+    let pose = world_from_camera(index);
+    let seen = Image::from_fn(camera.width, camera.height, |u, v| {
+        let direction = pose.rotation * camera.ray(u as f64, v as f64);
+        let hit = |[low, high]: &[[f64; 3]; 2]| meet(&pose.translation, &direction, low, high);
+        let depth = BOXES
+            .iter()
+            .enumerate()
+            .filter_map(|(i, b)| Some((hit(b)?, i)));
+        let (depth, thing) = depth.min_by(|a, b| a.0.total_cmp(&b.0)).unwrap();
+        let p = pose.translation + depth * direction;
+        let pattern = (9.0 * p.x).sin() * (8.0 * p.y).sin() + (7.0 * p.z + 5.0 * p.x).sin();
+        let brightness = [90.0, 160.0, 200.0][thing] + 20.0 * pattern;
+        (depth as f32, [brightness as u8; 3])
+    });
+    RgbdFrame {
+        index: FrameIndex(index),
+        timestamp_secs: index as f64 / 30.0,
+        color: seen.map(|pixel| pixel.1),
+        depth_m: seen.map(|pixel| pixel.0),
+        camera,
+    }
+}
+
+/// The first face of a box that a ray meets, from outside or inside.
+fn meet(
+    origin: &Vector3<f64>,
+    direction: &Vector3<f64>,
+    low: &[f64; 3],
+    high: &[f64; 3],
+) -> Option<f64> {
+    let (mut enter, mut leave) = (f64::NEG_INFINITY, f64::INFINITY);
+    for axis in 0..3 {
+        let faces = [low[axis], high[axis]].map(|face| (face - origin[axis]) / direction[axis]);
+        enter = enter.max(faces[0].min(faces[1]));
+        leave = leave.min(faces[0].max(faces[1]));
+    }
+    let first = if enter > 0.0 { enter } else { leave };
+    (enter < leave && first > 0.0).then_some(first)
+}
