@@ -77,7 +77,8 @@ impl<'a> Seeder<'a> {
         } else {
             self.config.low_stride_px
         };
-        u.is_multiple_of(stride) && v.is_multiple_of(stride)
+        // Offset like the tracking grid, so that pixels of both are shared.
+        u % stride == stride / 2 && v % stride == stride / 2
     }
 
     fn plant(&self, u: usize, v: usize, gaussians: &mut Gaussians) {
@@ -216,7 +217,7 @@ mod tests {
         let missing = Image::from_fn(W, H, |_, v| v < 4);
         let config = SeedingConfig::default();
         let seeder = Seeder::new(&frame, pose(), &detail, &config, surface());
-        let points = [(8, 0, 7), (9, 0, 8), (8, 30, 9)].map(|(u, v, id)| NewPoint {
+        let points = [(10, 2, 7), (11, 2, 8), (10, 30, 9)].map(|(u, v, id)| NewPoint {
             u,
             v,
             id: SparseId(id),
@@ -248,7 +249,8 @@ mod tests {
             assert!((rgb[2] - 255.0).abs() <= 1e-3);
             let (u, v) = (rgb[0].round() as usize, rgb[1].round() as usize);
             if (8..W - 8).contains(&u) && (8..H - 8).contains(&v) {
-                let axes = camera_from_world.rotation * axes(gaussians, i);
+                let rotation = camera_from_world.rotation.to_rotation_matrix();
+                let axes = rotation.matrix() * axes(gaussians, i);
                 assert!((axes.column(2) - normal).amax() <= 1e-3, "({u}, {v})");
                 let ray = frame.camera.ray(u as f64, v as f64).normalize();
                 // Stretched along the tilt, round across it.
@@ -281,15 +283,15 @@ mod tests {
     #[test]
     fn pixels_without_depth_are_left_out() {
         let mut frame = wall(Vector3::new(0.0, 0.0, -1.0));
-        frame.depth_m.set(0, 0, 0.0);
-        frame.depth_m.set(2, 0, f32::NAN);
+        frame.depth_m.set(1, 1, 0.0);
+        frame.depth_m.set(3, 1, f32::NAN);
         let detail = Image::filled(W, H, true);
         let missing = Image::filled(W, H, true);
         let config = SeedingConfig::default();
         let seeder = Seeder::new(&frame, pose(), &detail, &config, surface());
         let point = NewPoint {
-            u: 0,
-            v: 0,
+            u: 1,
+            v: 1,
             id: SparseId(0),
         };
         let seeds = seeder.seeds(&missing, &[point]);

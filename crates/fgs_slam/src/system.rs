@@ -111,10 +111,10 @@ pub fn run<E: Error + 'static>(
         budget: Budget::new(config.mapping.iterations_per_frame),
         busy: Duration::ZERO,
     };
-    let frames = Stoppable { frames, stop };
     let mut front = Front {
         tracker,
         observer,
+        stop,
         frames: Vec::new(),
         keyframes: Vec::new(),
         dropped: 0,
@@ -140,27 +140,11 @@ pub fn run<E: Error + 'static>(
     })
 }
 
-/// Frames until the end or until the run is told to stop.
-struct Stoppable<'a, I> {
-    frames: I,
-    stop: &'a AtomicBool,
-}
-
-impl<I: Iterator> Iterator for Stoppable<'_, I> {
-    type Item = I::Item;
-
-    fn next(&mut self) -> Option<I::Item> {
-        if self.stop.load(Ordering::Relaxed) {
-            return None;
-        }
-        self.frames.next()
-    }
-}
-
 /// The tracking side: the tracker and what it has found.
 struct Front<'a> {
     tracker: Tracker,
     observer: &'a mut dyn Observer,
+    stop: &'a AtomicBool,
     frames: Vec<Tracked>,
     keyframes: Vec<KeyframeRecord>,
     dropped: usize,
@@ -292,7 +276,8 @@ fn lockstep<E: Error + 'static, M: GaussianModel>(
     mut worker: MapperWorker<M>,
 ) -> Result<MapperWorker<M>, SlamError> {
     let map = MapSize::default();
-    for frame in frames {
+    let stop = front.stop;
+    for frame in frames.take_while(|_| !stop.load(Ordering::Relaxed)) {
         match frame {
             Err(error) => front.skip(&error),
             Ok(frame) => {
@@ -325,7 +310,8 @@ fn parallel<E: Error + 'static, M: GaussianModel + Send>(
             }
             Ok(worker)
         });
-        for frame in frames {
+        let stop = front.stop;
+        for frame in frames.take_while(|_| !stop.load(Ordering::Relaxed)) {
             match frame {
                 Err(error) => front.skip(&error),
                 Ok(frame) => {
@@ -359,7 +345,8 @@ fn realtime<E: Error + 'static, M: GaussianModel + Send>(
         });
         let mut clock: Option<Clock> = None;
         let mut frames = frames.peekable();
-        while let Some(frame) = frames.next() {
+        let stop = front.stop;
+        while let Some(frame) = frames.next_if(|_| !stop.load(Ordering::Relaxed)) {
             let frame = match frame {
                 Err(error) => {
                     front.skip(&error);

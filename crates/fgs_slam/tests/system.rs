@@ -1,5 +1,7 @@
 //! The whole system on synthetic rooms: accuracy, repeatability, shutdown, and losing the camera.
 
+#![allow(clippy::unwrap_used)]
+
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::time::{Duration, Instant};
 
