@@ -202,8 +202,8 @@ impl Default for SeedingConfig {
             clahe: true,
             high_stride_px: 2,
             low_stride_px: 4,
-            high_sigma_px: 1.0,
-            low_sigma_px: 2.0,
+            high_sigma_px: 0.8,
+            low_sigma_px: 1.6,
             min_alpha: 0.98,
             depth_mask: true,
             depth_error_factor: 10.0,
@@ -218,9 +218,9 @@ impl Default for MappingConfig {
     fn default() -> Self {
         Self {
             iterations_per_frame: 2.8,
-            newest_first: 4,
+            newest_first: 1,
             min_covisible_share: 0.7,
-            covisible_probability: 0.7,
+            covisible_probability: 0.3,
             max_keyframes: 500,
             prune_every: 200,
             prune_opacity: 0.005,

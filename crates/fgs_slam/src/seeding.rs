@@ -2,7 +2,8 @@
 //! has detail, large sparse ones elsewhere, and only in the missing region.
 //!
 //! Differs from the paper: a disk lies on the surface where the depth gives a reliable normal, and
-//! is stretched along its tilt so that its image stays round; the paper's faces the camera.
+//! is stretched along its tilt so that its image stays round; the paper's faces the camera. Disks
+//! are a fifth smaller than the paper's, which blur what they cover.
 
 use fgs_geom::{Image, RgbdFrame, Se3, has_depth};
 use fgs_gicp::DepthGrid;
@@ -205,9 +206,10 @@ mod tests {
             let sigmas = seeds.gaussians.log_scales.iter().map(|log| log[1].exp());
             sigmas.filter(|s| (s / sigma_m - 1.0).abs() <= 1e-5).count()
         };
-        // Eq. (11): alpha d / f, 1 and 2 px at 2 m and 50 px focal length.
-        assert_eq!(of_sigma(2.0 / 50.0), 12 * 10);
-        assert_eq!(of_sigma(4.0 / 50.0), 6 * 5);
+        // Eq. (11): alpha d / f, at 2 m and 50 px focal length.
+        let sigma_m = |sigma_px: f64| (sigma_px * 2.0 / 50.0) as f32;
+        assert_eq!(of_sigma(sigma_m(config.high_sigma_px)), 12 * 10);
+        assert_eq!(of_sigma(sigma_m(config.low_sigma_px)), 6 * 5);
     }
 
     #[test]

@@ -9,7 +9,7 @@ use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::thread;
 use std::time::{Duration, Instant};
 
-use crossbeam_channel::{Receiver, Sender, TryRecvError, at, bounded, unbounded};
+use crossbeam_channel::{Receiver, RecvTimeoutError, Sender, TryRecvError, bounded, unbounded};
 use fgs_geom::{Camera, FrameIndex, RgbdFrame, Se3};
 use fgs_splat::{GaussianModel, Gaussians, SparseChanges};
 
@@ -355,26 +355,21 @@ fn realtime<E: Error + 'static, M: GaussianModel + Send>(
                 Ok(frame) => frame,
             };
             let clock = clock.get_or_insert_with(|| Clock::started_at(frame.timestamp_secs));
-            if let Some(Ok(next)) = frames.peek()
-                && clock.due(next.timestamp_secs) <= Instant::now()
-            {
+            // With its successor due already, a frame is late.
+            let now = Instant::now();
+            let late =
+                matches!(frames.peek(), Some(Ok(next)) if clock.due(next.timestamp_secs) <= now);
+            let until = if late {
+                now
+            } else {
+                clock.due(frame.timestamp_secs)
+            };
+            if !follow_mapper_until(until, &mut front.tracker, &from_mapper) {
+                break;
+            }
+            if late {
                 front.drop_late();
                 continue;
-            }
-            // A wait for the frame's time that ends at once when the mapper dies.
-            let due = at(clock.due(frame.timestamp_secs));
-            let mut mapper_lives = true;
-            while mapper_lives {
-                crossbeam_channel::select! {
-                    recv(due) -> _ => break,
-                    recv(from_mapper) -> changes => match changes {
-                        Ok(changes) => front.tracker.update_map(&changes),
-                        Err(_) => mapper_lives = false,
-                    },
-                }
-            }
-            if !mapper_lives {
-                break;
             }
             if let Some(keyframe) = front.track(frame, map)
                 && to_mapper.send(keyframe).is_err()
@@ -385,6 +380,21 @@ fn realtime<E: Error + 'static, M: GaussianModel + Send>(
         drop(to_mapper);
         join(mapping)
     })
+}
+
+/// Takes over what the mapper reports until a time; `false` as soon as the mapper is gone.
+fn follow_mapper_until(
+    until: Instant,
+    tracker: &mut Tracker,
+    from_mapper: &Receiver<SparseChanges>,
+) -> bool {
+    loop {
+        match from_mapper.recv_deadline(until) {
+            Ok(changes) => tracker.update_map(&changes),
+            Err(RecvTimeoutError::Timeout) => return true,
+            Err(RecvTimeoutError::Disconnected) => return false,
+        }
+    }
 }
 
 /// Takes in keyframes as they come and optimises as long as the tracker lives.

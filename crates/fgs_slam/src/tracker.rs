@@ -182,7 +182,24 @@ impl Tracker {
             translation_epsilon_m: TRANSLATION_EPSILON_M,
             ..Settings::default()
         };
-        match align(&source, &self.map, &(last * self.motion), &settings) {
+        let mut alignment = align(&source, &self.map, &(last * self.motion), &settings);
+        if let Ok(unsettled) = &alignment
+            && !unsettled.converged
+        {
+            // Pairs that swap for ever keep it from the last digits: the published ones will do.
+            let published = Settings {
+                rotation_epsilon_rad: Settings::default().rotation_epsilon_rad,
+                translation_epsilon_m: Settings::default().translation_epsilon_m,
+                ..settings
+            };
+            alignment = align(
+                &source,
+                &self.map,
+                &unsettled.target_from_source,
+                &published,
+            );
+        }
+        match alignment {
             Ok(alignment) => self.verdict(&alignment),
             // Nothing to align with is a lost frame, not a broken run.
             Err(_) => Registration::default(),

@@ -5,7 +5,7 @@ use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 
 const RATES: [f32; 14] = [
-    2.5e-6, 2.5e-6, 2.5e-6, 1e-2, 1e-2, 1e-2, 1e-2, 5e-3, 5e-3, 5e-3, 0.05, 3.5e-3, 3.5e-3, 3.5e-3,
+    2e-4, 2e-4, 2e-4, 1e-2, 1e-2, 1e-2, 1e-2, 5e-3, 5e-3, 5e-3, 0.02, 1e-2, 1e-2, 1e-2,
 ];
 
 /// All parameters of gaussian i, in the order of [`RATES`].
