@@ -174,7 +174,7 @@ impl Default for TrackingConfig {
             grid_stride_px: 4,
             max_depth_m: 5.0,
             max_correspondence_distance_m: 0.03,
-            max_fit_error: 0.004,
+            max_fit_error: 0.01,
             disk_thickness: 1e-3,
             noise_power: 2.0,
             target: TargetCovariance::Seeded,
