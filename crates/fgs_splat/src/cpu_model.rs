@@ -244,3 +244,6 @@ fn survives(gaussians: &Gaussians, i: usize, rule: &PruneRule) -> bool {
         && longest <= rule.max_scale_m
         && longest <= rule.max_aspect * middle
 }
+
+#[cfg(test)]
+mod tests;
