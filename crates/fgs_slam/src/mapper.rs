@@ -4,7 +4,7 @@
 use fgs_geom::{Camera, FrameIndex, Image, View};
 use fgs_splat::{
     GaussianModel, Gaussians, LossError, LossSettings, ModelError, ModelSettings, PruneRule,
-    Rendered, SparseChanges, StepStats, Target, ViewId,
+    SparseChanges, Target, ViewId,
 };
 
 use crate::config::{MappingConfig, NewPoints, SlamConfig};
@@ -119,6 +119,8 @@ impl<M: GaussianModel> Mapper<M> {
             return Ok(());
         };
         self.model.step(view)?;
+        // Nobody reads them yet; left in the model they would grow with the run.
+        self.model.take_stats();
         self.steps += 1;
         let mapping = &self.config.mapping;
         if self.steps.is_multiple_of(mapping.prune_every) {
@@ -141,21 +143,11 @@ impl<M: GaussianModel> Mapper<M> {
         self.model.len()
     }
 
-    /// Statistics of the steps finished since the last call.
-    pub fn take_stats(&mut self) -> Vec<StepStats> {
-        self.model.take_stats()
-    }
-
     /// What happened to the sparse map since the last call.
     pub fn take_sparse_changes(&mut self) -> SparseChanges {
         let mut changes = self.model.take_sparse_changes();
         changes.removed.append(&mut self.refused);
         changes
-    }
-
-    /// The map as seen from a view.
-    pub fn render(&mut self, view: &View) -> Rendered {
-        self.model.render(view)
     }
 
     /// A copy of the map.
