@@ -1,6 +1,7 @@
 //! `fgs`: RGB-D SLAM with gaussian splatting, guided by a Fourier segmentation. Glue only: every
 //! subcommand is a file of its own.
 
+mod bench;
 mod console;
 mod demo;
 mod doctor;
@@ -54,6 +55,7 @@ enum Command {
     Render(render::RenderArgs),
     Synth(synth::SynthArgs),
     Demo(demo::DemoArgs),
+    Bench(bench::BenchArgs),
 }
 
 fn main() -> ExitCode {
@@ -64,6 +66,7 @@ fn main() -> ExitCode {
         Command::Render(args) => render::run(&args),
         Command::Synth(args) => synth::run(&args),
         Command::Demo(args) => demo::run(&args),
+        Command::Bench(args) => bench::run(&args),
     };
     match outcome {
         Ok(exit_code) => exit_code.into(),

@@ -9,8 +9,7 @@ use std::fs;
 use std::path::Path;
 
 use common::{
-    DENSE_GRID, FRAMES, fgs, folder_with_recording, frame_files, metrics, names, rows, run, stderr,
-    stdout,
+    FRAMES, fgs, folder_with_recording, frame_files, metrics, names, rows, run, stderr, stdout,
 };
 use serde_json::Value;
 
@@ -99,7 +98,6 @@ fn runs_repeat_and_can_be_scored_and_rendered() {
         &[
             "run",
             "room",
-            DENSE_GRID,
             "--mode",
             "lockstep",
             "--threads",
@@ -110,15 +108,7 @@ fn runs_repeat_and_can_be_scored_and_rendered() {
     );
     run(
         path,
-        &[
-            "run",
-            "room",
-            DENSE_GRID,
-            "--mode",
-            "lockstep",
-            "--threads",
-            "2",
-        ],
+        &["run", "room", "--mode", "lockstep", "--threads", "2"],
         0,
     );
     let (first, second) = (path.join("runs/room"), path.join("runs/room-2"));
@@ -260,7 +250,7 @@ fn settings_and_frames_of_the_command_line_hold() {
         "mapping.iterations_per_frame=0.5",
     ];
     let arguments = [
-        "run", "room", DENSE_GRID, "--config", "c.toml", "--out", "out", "--frames", "2..8",
+        "run", "room", "--config", "c.toml", "--out", "out", "--frames", "2..8",
     ];
     run(path, &[arguments.as_slice(), &sets].concat(), 0);
     let metrics = metrics(&path.join("out"));
@@ -291,11 +281,7 @@ fn replica_layout_and_every_mode() {
         0,
     );
     for mode in ["parallel", "realtime"] {
-        run(
-            path,
-            &["run", "room", DENSE_GRID, "--mode", mode, "--out", mode],
-            0,
-        );
+        run(path, &["run", "room", "--mode", mode, "--out", mode], 0);
         let metrics = metrics(&path.join(mode));
         assert_eq!(metrics["mode"], mode);
         assert_eq!(metrics["frames"], 6);
@@ -308,7 +294,7 @@ fn json_lines_for_machines() {
     let folder = folder_with_recording();
     let output = run(
         folder.path(),
-        &["run", "room", DENSE_GRID, "--json", "--frames", "..4"],
+        &["run", "room", "--json", "--frames", "..4"],
         0,
     );
     let text = stdout(&output);
@@ -339,7 +325,7 @@ fn a_damaged_frame_is_skipped_counted_and_reported() {
     let [color, _] = frame_files(&path.join("room"), 6);
     let bytes = fs::read(&color).unwrap();
     fs::write(&color, &bytes[..bytes.len() / 2]).unwrap();
-    let output = run(path, &["run", "room", DENSE_GRID, "--eval"], 0);
+    let output = run(path, &["run", "room", "--eval"], 0);
     let message = stderr(&output);
     assert!(
         message.starts_with("warning: frame 6 is skipped: "),
@@ -381,7 +367,7 @@ fn a_covered_lens_is_lost_not_invented() {
             .save(depth)
             .unwrap();
     }
-    run(path, &["run", "room", DENSE_GRID], 0);
+    run(path, &["run", "room"], 0);
     let run = path.join("runs/room");
     let lost: Vec<usize> = rows(&run)
         .iter()
@@ -403,7 +389,7 @@ fn a_run_that_never_sees_anything_ends_well() {
             .save(depth)
             .unwrap();
     }
-    run(path, &["run", "room", DENSE_GRID, "--eval"], 0);
+    run(path, &["run", "room", "--eval"], 0);
     let run = path.join("runs/room");
     assert_strict_trajectory(&run, 0);
     let metrics = metrics(&run);
@@ -423,7 +409,7 @@ fn interrupted_runs_are_saved() {
     let slow = ["--set", "mapping.iterations_per_frame=50", "--eval"];
     let mut child = fgs(
         path,
-        &[&["run", "room", DENSE_GRID, "--json"], slow.as_slice()].concat(),
+        &[&["run", "room", "--json"], slow.as_slice()].concat(),
     )
     .stdout(Stdio::piped())
     .stderr(Stdio::null())

@@ -3,7 +3,7 @@
 //! A TOML file may give any part of it; unknown keys are refused. Algorithms read values from here
 //! and never a data set's name.
 
-use fgs_splat::LearningRates;
+use fgs_splat::{LearningRates, LossSettings};
 use serde::{Deserialize, Serialize};
 
 /// The whole configuration. Its effective value is written beside every result and reruns it.
@@ -26,8 +26,10 @@ pub struct SlamConfig {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct TrackingConfig {
-    /// Distance between the pixels that are tracked.
-    pub grid_stride_px: usize,
+    /// Distance between the pixels that are tracked. Left out, it follows the focal length, so that
+    /// the points lie equally dense whatever the resolution: 4 at a Kinect's 525 px.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub grid_stride_px: Option<usize>,
     /// Measurements further away are not tracked (they are still mapped).
     pub max_depth_m: f64,
     /// Points further apart than this do not correspond.
@@ -148,10 +150,8 @@ pub struct MappingConfig {
     pub prune_scale_m: f32,
     /// Gaussians with a larger ratio of the in-plane axes are pruned.
     pub prune_aspect: f32,
-    /// Compare colour only where depth is measured.
-    pub mask_color_by_depth: bool,
-    /// Divide rendered depth by the accumulated alpha before comparing it.
-    pub normalize_depth: bool,
+    /// What a rendered view is compared by.
+    pub loss: LossSettings,
     /// Learning rates.
     pub learning_rates: LearningRates,
 }
@@ -171,7 +171,7 @@ impl Default for SlamConfig {
 impl Default for TrackingConfig {
     fn default() -> Self {
         Self {
-            grid_stride_px: 4,
+            grid_stride_px: None,
             max_depth_m: 5.0,
             max_correspondence_distance_m: 0.03,
             max_fit_error: 0.01,
@@ -226,8 +226,7 @@ impl Default for MappingConfig {
             prune_opacity: 0.005,
             prune_scale_m: 1.0,
             prune_aspect: 10.0,
-            mask_color_by_depth: false,
-            normalize_depth: true,
+            loss: LossSettings::default(),
             learning_rates: LearningRates::default(),
         }
     }
@@ -245,7 +244,9 @@ impl SlamConfig {
         let count = |key, value: usize| check(key, value as f64, value > 0, "at least 1");
         let (tracking, keyframes) = (&self.tracking, &self.keyframes);
         let (seeding, mapping) = (&self.seeding, &self.mapping);
-        count("tracking.grid_stride_px", tracking.grid_stride_px)?;
+        if let Some(stride) = tracking.grid_stride_px {
+            count("tracking.grid_stride_px", stride)?;
+        }
         positive("tracking.max_depth_m", tracking.max_depth_m)?;
         positive(
             "tracking.max_correspondence_distance_m",
@@ -298,6 +299,15 @@ impl SlamConfig {
         share("mapping.prune_opacity", mapping.prune_opacity.into())?;
         positive("mapping.prune_scale_m", mapping.prune_scale_m.into())?;
         positive("mapping.prune_aspect", mapping.prune_aspect.into())?;
+        let loss = &mapping.loss;
+        for (key, weight) in [
+            ("mapping.loss.l1_weight", loss.l1_weight),
+            ("mapping.loss.ssim_weight", loss.ssim_weight),
+            ("mapping.loss.depth_weight", loss.depth_weight),
+            ("mapping.loss.scale_weight", loss.scale_weight),
+        ] {
+            check(key, weight.into(), weight >= 0.0, "0 or more")?;
+        }
         let rates = &mapping.learning_rates;
         for (key, rate) in [
             ("mapping.learning_rates.means", rates.means),
@@ -366,7 +376,7 @@ mod tests {
             config.validate().unwrap_err().key
         };
         assert_eq!(
-            refused(|c| c.tracking.grid_stride_px = 0),
+            refused(|c| c.tracking.grid_stride_px = Some(0)),
             "tracking.grid_stride_px"
         );
         assert_eq!(

@@ -3,8 +3,8 @@
 
 use fgs_geom::{Camera, FrameIndex, Image, View};
 use fgs_splat::{
-    GaussianModel, Gaussians, LossError, LossSettings, ModelError, ModelSettings, PruneRule,
-    SparseChanges, Target, ViewId,
+    GaussianModel, Gaussians, LossError, ModelError, ModelSettings, PruneRule, SparseChanges,
+    Target, ViewId,
 };
 
 use crate::config::{MappingConfig, NewPoints, SlamConfig};
@@ -42,11 +42,7 @@ pub struct Mapper<M> {
 /// How a configuration asks the model to optimise.
 pub fn model_settings(config: &MappingConfig) -> ModelSettings {
     ModelSettings {
-        loss: LossSettings {
-            mask_color_by_depth: config.mask_color_by_depth,
-            normalize_depth: config.normalize_depth,
-            ..LossSettings::default()
-        },
+        loss: config.loss.clone(),
         learning_rates: config.learning_rates.clone(),
     }
 }
@@ -90,7 +86,7 @@ impl<M: GaussianModel> Mapper<M> {
             keyframe.world_from_camera,
             &detail,
             &self.config.seeding,
-            seeding_surface(&self.config.tracking),
+            seeding_surface(&self.config.tracking, &frame.camera),
         );
         self.model.insert(&seeder.seeds(&missing, &new_points))?;
         let target = Target::new(frame.color.clone(), frame.depth_m.clone())?;

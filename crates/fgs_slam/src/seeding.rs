@@ -181,8 +181,9 @@ mod tests {
         Se3::exp(&nalgebra::Vector6::new(0.4, -0.7, 0.2, 1.0, -2.0, 0.5))
     }
 
-    fn surface() -> DepthGrid {
-        crate::surface::seeding_surface(&crate::config::TrackingConfig::default())
+    fn surface(frame: &RgbdFrame) -> DepthGrid {
+        let config = crate::config::TrackingConfig::default();
+        crate::surface::seeding_surface(&config, &frame.camera)
     }
 
     fn axes(gaussians: &Gaussians, i: usize) -> Matrix3<f64> {
@@ -198,7 +199,7 @@ mod tests {
         let detail = Image::from_fn(W, H, |u, _| u < 24);
         let missing = Image::from_fn(W, H, |_, v| v < 20);
         let config = SeedingConfig::default();
-        let seeder = Seeder::new(&frame, pose(), &detail, &config, surface());
+        let seeder = Seeder::new(&frame, pose(), &detail, &config, surface(&frame));
         let seeds = seeder.seeds(&missing, &[]);
         assert_eq!(seeds.gaussians.len(), 12 * 10 + 6 * 5);
         assert!(seeds.sparse_ids.iter().all(Option::is_none));
@@ -218,7 +219,7 @@ mod tests {
         let detail = Image::filled(W, H, false);
         let missing = Image::from_fn(W, H, |_, v| v < 4);
         let config = SeedingConfig::default();
-        let seeder = Seeder::new(&frame, pose(), &detail, &config, surface());
+        let seeder = Seeder::new(&frame, pose(), &detail, &config, surface(&frame));
         let points = [(10, 2, 7), (11, 2, 8), (10, 30, 9)].map(|(u, v, id)| NewPoint {
             u,
             v,
@@ -237,7 +238,8 @@ mod tests {
         let detail = Image::filled(W, H, true);
         let missing = Image::filled(W, H, true);
         let config = SeedingConfig::default();
-        let seeds = Seeder::new(&frame, pose(), &detail, &config, surface()).seeds(&missing, &[]);
+        let seeds =
+            Seeder::new(&frame, pose(), &detail, &config, surface(&frame)).seeds(&missing, &[]);
         let camera_from_world = pose().inverse();
         let gaussians = &seeds.gaussians;
         for i in 0..gaussians.len() {
@@ -273,7 +275,8 @@ mod tests {
             disks: Disks::View,
             ..SeedingConfig::default()
         };
-        let seeds = Seeder::new(&frame, pose(), &detail, &config, surface()).seeds(&missing, &[]);
+        let seeds =
+            Seeder::new(&frame, pose(), &detail, &config, surface(&frame)).seeds(&missing, &[]);
         for (i, mean) in seeds.gaussians.means.iter().enumerate() {
             let ray = (Vector3::from(*mean).cast() - pose().translation).normalize();
             assert!((axes(&seeds.gaussians, i).column(2) + ray).amax() <= 1e-5);
@@ -290,7 +293,7 @@ mod tests {
         let detail = Image::filled(W, H, true);
         let missing = Image::filled(W, H, true);
         let config = SeedingConfig::default();
-        let seeder = Seeder::new(&frame, pose(), &detail, &config, surface());
+        let seeder = Seeder::new(&frame, pose(), &detail, &config, surface(&frame));
         let point = NewPoint {
             u: 1,
             v: 1,

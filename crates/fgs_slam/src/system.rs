@@ -105,7 +105,7 @@ pub fn run<E: Error + 'static>(
 ) -> Result<SlamOutput, SlamError> {
     config.validate()?;
     let start = Instant::now();
-    let tracker = Tracker::new(config);
+    let tracker = Tracker::new(camera, config);
     let mapper = MapperWorker {
         mapper: Mapper::new(model, camera, config),
         budget: Budget::new(config.mapping.iterations_per_frame),

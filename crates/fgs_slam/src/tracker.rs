@@ -7,7 +7,7 @@
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use fgs_geom::{FrameIndex, RgbdFrame, Se3};
+use fgs_geom::{Camera, FrameIndex, RgbdFrame, Se3};
 use fgs_gicp::{
     Alignment, Covariance, DepthGrid, Point, PointMap, Settings, SurfacePoint, align,
     covariances_from_neighbors,
@@ -81,12 +81,12 @@ pub struct Tracker {
 }
 
 impl Tracker {
-    /// With an empty map; the first frame with enough depth defines the world's axes.
-    pub fn new(config: &SlamConfig) -> Self {
+    /// For frames of one camera, with an empty map; the first frame with enough depth defines the world's axes.
+    pub fn new(camera: &Camera, config: &SlamConfig) -> Self {
         let tracking = config.tracking.clone();
         Self {
             policy: KeyframePolicy::new(&config.keyframes),
-            grid: tracking_grid(&tracking),
+            grid: tracking_grid(&tracking, camera),
             map: PointMap::new(config.keyframes.overlap_distance_m as f32),
             next_id: 0,
             last: None,

@@ -25,7 +25,6 @@ fn room(frames: usize) -> Sequence {
 
 fn config() -> SlamConfig {
     let mut config = SlamConfig::default();
-    config.tracking.grid_stride_px = 3;
     config.mapping.iterations_per_frame = 2.0;
     config
 }

@@ -7,6 +7,9 @@
 //! Adam moves every parameter at every step, by momentum alone where the gradient is zero; here
 //! a gaussian that is not touched rests, moments included. A gaussian out of view would otherwise
 //! drift after the last view that saw it, and a step would cost the size of the map.
+//!
+//! A gaussian's learning rates fall with its own steps, so that a map that keeps growing settles
+//! where it is old while it is quick to fit where it is new.
 
 use crate::gaussians::retain;
 use crate::{GaussianGradients, Gaussians};
@@ -18,13 +21,17 @@ use thiserror::Error;
 const BETA_1: f64 = 0.9;
 /// Decay of the second moment (Kingma and Ba 2015).
 const BETA_2: f64 = 0.999;
+/// Learning rates fall as `1 / sqrt(1 + t / DECAY_STEPS)`, slowly enough for Adam to arrive
+/// anywhere (Kingma and Ba 2015, Theorem 4.1). A gaussian is fitted after a few dozen steps; what
+/// moves it from then on is mostly the difference between views.
+const DECAY_STEPS: f64 = 50.0;
 /// Far below any gradient: the loss is a mean over a million values, so that gradients near the
 /// customary 1e-8 are common and would be damped by it.
 const EPSILON: f32 = 1e-15;
 /// Gaussians that one task moves, whatever the number of threads.
 const CHUNK: usize = 4096;
 
-/// Step sizes: how far a parameter moves in a step with a steady gradient.
+/// Step sizes: how far a parameter of a new gaussian moves in a step with a steady gradient.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct LearningRates {
@@ -41,16 +48,17 @@ pub struct LearningRates {
 }
 
 impl Default for LearningRates {
-    /// Differs from the paper, whose code has 2.5e-6 for the means, 0.05 for the opacities and
-    /// 3.5e-3 for the colours: at a few steps per frame its centres stay where noise put them, its
-    /// opacities swing, and its colours do not arrive (together 1.7 dB on a room of exact depth).
+    /// Differs from the paper, whose code has 2.5e-6 for the means, 5e-3 for the log-scales, 0.05
+    /// for the opacities, 1e-2 for the quaternions and 3.5e-3 for the colours, all constant: at a
+    /// few steps per frame its centres stay where noise put them and its colours do not arrive, and
+    /// at many its map does not settle.
     fn default() -> Self {
         Self {
-            means: 2e-4,
-            quats: 1e-2,
-            log_scales: 5e-3,
-            opacity_logits: 0.02,
-            sh: 1e-2,
+            means: 4e-4,
+            quats: 2e-2,
+            log_scales: 1e-2,
+            opacity_logits: 0.04,
+            sh: 2e-2,
         }
     }
 }
@@ -206,10 +214,11 @@ fn is_usable(gradients: &GaussianGradients, i: usize) -> bool {
         && usable(&gradients.d_sh[i])
 }
 
-/// A gaussian to be moved, and the bias corrections of its step.
+/// A gaussian to be moved, and what its number of steps makes of its moments.
 struct Active {
     index: u32,
-    /// `1 / (1 - beta_1^t)`, which the first moment is multiplied by.
+    /// `1 / (1 - beta_1^t)`, the bias correction of the first moment, times the decay of the
+    /// learning rates.
     first: f32,
     /// `1 / sqrt(1 - beta_2^t)`, which the second moment's root is multiplied by.
     second_root: f32,
@@ -220,10 +229,15 @@ impl Active {
         let steps = steps_before.min(i32::MAX as u32 - 1) as i32 + 1;
         Self {
             index,
-            first: (1.0 - BETA_1.powi(steps)).recip() as f32,
+            first: (decay(steps_before) / (1.0 - BETA_1.powi(steps))) as f32,
             second_root: (1.0 - BETA_2.powi(steps)).sqrt().recip() as f32,
         }
     }
+}
+
+/// What is left of the learning rates after so many steps.
+fn decay(steps: u32) -> f64 {
+    (1.0 + f64::from(steps) / DECAY_STEPS).sqrt().recip()
 }
 
 /// One step of one of the parameters' arrays. `active` ascends.

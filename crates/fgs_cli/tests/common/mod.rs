@@ -18,10 +18,6 @@ pub fn fgs(folder: &Path, arguments: &[&str]) -> Command {
     command
 }
 
-/// Small images need a dense tracking grid: its points have to lie closer together than
-/// `max_correspondence_distance_m`.
-pub const DENSE_GRID: &str = "--set=tracking.grid_stride_px=1";
-
 /// Runs the program and expects an exit code.
 pub fn run(folder: &Path, arguments: &[&str], exit_code: i32) -> Output {
     let output = fgs(folder, arguments).output().unwrap();

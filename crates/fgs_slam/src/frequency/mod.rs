@@ -8,6 +8,8 @@
 
 mod border;
 mod clahe;
+#[cfg(test)]
+mod fourier;
 mod gray;
 mod high_pass;
 mod triangle;
@@ -35,12 +37,12 @@ pub struct FrequencySettings {
     pub clahe: bool,
 }
 
-/// Segments images of one size; the transforms are planned once.
+/// Segments images of one size; the filter is made once.
 pub struct FrequencySegmenter {
     width: usize,
     height: usize,
     settings: FrequencySettings,
-    high_pass: HighPass<f32>,
+    high_pass: HighPass,
 }
 
 impl FrequencySegmenter {

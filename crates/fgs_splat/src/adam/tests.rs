@@ -5,7 +5,7 @@ use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 
 const RATES: [f32; 14] = [
-    2e-4, 2e-4, 2e-4, 1e-2, 1e-2, 1e-2, 1e-2, 5e-3, 5e-3, 5e-3, 0.02, 1e-2, 1e-2, 1e-2,
+    4e-4, 4e-4, 4e-4, 2e-2, 2e-2, 2e-2, 2e-2, 1e-2, 1e-2, 1e-2, 0.04, 2e-2, 2e-2, 2e-2,
 ];
 
 /// All parameters of gaussian i, in the order of [`RATES`].
@@ -43,7 +43,7 @@ fn gradients_of(derivatives: &Gaussians, touched: &[u32]) -> GaussianGradients {
     }
 }
 
-/// One parameter under Adam as in the paper, in f64.
+/// One parameter under Adam as in its paper with falling rates, in f64.
 #[derive(Clone, Default)]
 struct Textbook {
     m: f64,
@@ -53,6 +53,7 @@ struct Textbook {
 
 impl Textbook {
     fn step(&mut self, gradient: f64, rate: f64) -> f64 {
+        let rate = rate / (1.0 + f64::from(self.t) / 50.0).sqrt();
         self.t += 1;
         self.m = 0.9 * self.m + 0.1 * gradient;
         self.v = 0.999 * self.v + 0.001 * gradient * gradient;

@@ -7,7 +7,7 @@ use pulp::Arch;
 use rayon::prelude::*;
 
 use super::backward::BlendTileVjp;
-use super::bounds::{TILE, TileGrid};
+use super::bounds::{LANES, TILE, TileGrid};
 use super::chunks::{CHUNK, ProjectChunkVjp};
 use super::project::ScreenCamera;
 use super::project_vjp::PixelSums;
@@ -29,6 +29,18 @@ impl<T: Real> RenderPass<'_, T> {
     /// The images.
     pub fn rendered(&self) -> &Rendered<T> {
         &self.scratch.rendered
+    }
+
+    /// How many times a gaussian meets a pixel of the blocks it touches: the work of blending, but
+    /// for what saturated pixels spare.
+    pub fn evaluations(&self) -> usize {
+        let blocks = self
+            .scratch
+            .lists
+            .entries
+            .iter()
+            .map(|entry| entry.blocks.count_ones());
+        LANES * blocks.sum::<u32>() as usize
     }
 
     /// The gaussians that contributed to a pixel, ascending.

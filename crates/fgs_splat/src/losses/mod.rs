@@ -21,10 +21,12 @@ pub use regularizer::scale_regularizer;
 
 use fgs_geom::{Image, has_depth};
 use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
-/// Weights and choices of the loss. The weights are those of the published system.
-#[derive(Clone, Debug, PartialEq)]
+/// Weights and choices of the loss.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
 pub struct LossSettings {
     /// Weight of the mean absolute colour error, colours in 0..1.
     pub l1_weight: f32,
@@ -48,8 +50,8 @@ impl Default for LossSettings {
             ssim_weight: 0.2,
             depth_weight: 0.1,
             scale_weight: 10.0,
-            mask_color_by_depth: true,
-            normalize_depth: false,
+            mask_color_by_depth: false,
+            normalize_depth: true,
         }
     }
 }

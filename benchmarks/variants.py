@@ -1,0 +1,103 @@
+"""Every choice the design leaves open, run on every recording.
+
+    python benchmarks/variants.py OUT "RECORDING [options of fgs run]"...
+
+runs `fgs` (target/release/fgs; build it first) once for each variant and recording, appends each result to
+OUT/raw.csv, and writes OUT/README.md from it. A result that raw.csv already holds is not made again, so an
+interrupted table goes on where it stopped, and an old one is only written anew.
+"""
+import argparse
+import csv
+import json
+import os
+import pathlib
+import platform
+import shlex
+import subprocess
+import tempfile
+from concurrent.futures import ThreadPoolExecutor
+
+FGS = pathlib.Path(__file__).parents[1] / "target/release/fgs"
+VARIANTS = {
+    "defaults": [],
+    "mask: opacity only": ["seeding.depth_mask=false", "seeding.color_mask=false"],
+    "mask: opacity, depth": ["seeding.color_mask=false"],
+    "disks: by view": ["seeding.disks=view"],
+    "target: optimized": ["tracking.target=optimized"],
+    "target: neighbors": ["tracking.target=neighbors"],
+    "new points: by mask": ["keyframes.new_points=mask"],
+    "CLAHE: off": ["seeding.clahe=false"],
+    "depth: not normalised": ["mapping.loss.normalize_depth=false"],
+    "colour: only where depth is": ["mapping.loss.mask_color_by_depth=true"],
+}
+COLUMNS = ["psnr_valid_depth_db", "psnr_db", "psnr_heldout_db", "ssim", "depth_l1_m", "ate_rmse_m", "frames_lost", "num_gaussians", "fps"]
+
+
+def run(recording, options, variant, threads):
+    """The metrics of one run, as one row of raw.csv."""
+    changes = [word for change in VARIANTS[variant] for word in ("--set", change)]
+    with tempfile.TemporaryDirectory() as out:
+        command = [FGS, "run", recording, *options, *changes, "--threads", str(threads), "--eval", "--out", f"{out}/run"]
+        subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
+        metrics = json.loads(pathlib.Path(out, "run/metrics.json").read_text())
+    name = pathlib.Path(recording).name
+    return {"recording": name, "variant": variant, "commit": metrics["commit"]} | {key: metrics[key] for key in COLUMNS}
+
+
+def table(rows):
+    """Markdown: one line for each variant, in each cell one figure for each recording."""
+    recordings = list(dict.fromkeys(row["recording"] for row in rows))
+    found = {(row["recording"], row["variant"]): row for row in rows}
+    head = [f"| variant (figures: {', '.join(recordings)}) | PSNR valid, dB | mean | PSNR all, dB | ATE, cm | lost | gaussians, thousands |", "|---" * 7 + "|"]
+    lines = []
+    for variant in VARIANTS:
+        cells = [found[recording, variant] for recording in recordings if (recording, variant) in found]
+        if len(cells) < len(recordings):
+            continue
+        figures = lambda key, form, scale=1.0: " / ".join(form.format(scale * float(cell[key] or "nan")) for cell in cells)
+        mean = sum(float(cell["psnr_valid_depth_db"]) for cell in cells) / len(cells)
+        columns = [variant, figures("psnr_valid_depth_db", "{:.2f}"), f"{mean:.2f}", figures("psnr_db", "{:.2f}"),
+                   figures("ate_rmse_m", "{:.4f}", 100), figures("frames_lost", "{:.0f}"), figures("num_gaussians", "{:.0f}", 1e-3)]
+        lines.append("| " + " | ".join(columns) + " |")
+    return "\n".join(head + lines)
+
+
+def processor():
+    """Its name, where the system tells (Linux)."""
+    info = pathlib.Path("/proc/cpuinfo")
+    lines = info.read_text().splitlines() if info.exists() else []
+    names = [line.split(":")[1].strip() for line in lines if line.startswith("model name")]
+    return f"{names[0] if names else platform.processor()}, {os.cpu_count()} cores"
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("out", type=pathlib.Path)
+    parser.add_argument("recordings", nargs="*")
+    parser.add_argument("--jobs", type=int, default=1, help="runs at a time")
+    options = parser.parse_args()
+    options.out.mkdir(parents=True, exist_ok=True)
+    raw = options.out / "raw.csv"
+    rows = list(csv.DictReader(raw.open())) if raw.exists() else []
+    done = {(row["recording"], row["variant"]) for row in rows}
+    todo = [(words[0], words[1:], variant) for words in map(shlex.split, options.recordings) for variant in VARIANTS
+            if (pathlib.Path(words[0]).name, variant) not in done]
+    with raw.open("a") as file, ThreadPoolExecutor(options.jobs) as pool:
+        writer = csv.DictWriter(file, ["recording", "variant", "commit", *COLUMNS])
+        if not rows:
+            writer.writeheader()
+        for row in pool.map(lambda job: run(*job, threads=1), todo):
+            rows.append(row)
+            writer.writerow(row)
+            file.flush()
+            print(row["recording"], row["variant"], row["psnr_valid_depth_db"], row["ate_rmse_m"], flush=True)
+    commits = ", ".join(sorted({row["commit"][:7] for row in rows}))
+    commands = "\n".join(f'    {pathlib.Path(words[0]).name} {" ".join(words[1:])}' for words in map(shlex.split, options.recordings))
+    if commands:
+        (options.out / "README.md").write_text(
+            f"# Variants\n\n{processor()}; commit {commits}; lockstep, one thread. Made by `benchmarks/variants.py` from raw.csv "
+            f"beside this file; recordings and their options:\n\n{commands}\n\n{table(rows)}\n")
+
+
+if __name__ == "__main__":
+    main()

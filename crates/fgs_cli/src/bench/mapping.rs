@@ -1,0 +1,239 @@
+//! The parts of an optimisation step, and the whole of it.
+//!
+//! The scene: 100 000 gaussians at random pixels with depth of one frame, each axis depth / f times
+//! 1 to 2 long, turned at random, with opacity 0.99 and the pixel's colour.
+
+use std::hint::black_box;
+
+use anyhow::ensure;
+use fgs_geom::{RgbdFrame, Se3, View, has_depth};
+use fgs_splat::{
+    Adam, Cotangents, CpuModel, GaussianGradients, GaussianModel, Gaussians, LearningRates,
+    LossSettings, ModelSettings, Rasterizer, SH0_FACTOR, Seeds, Target, photometric_loss,
+};
+use rand::{RngExt, SeedableRng};
+use rand_pcg::Pcg64Mcg;
+
+use super::input::Input;
+use super::stage::Stage;
+
+const GAUSSIANS: usize = 100_000;
+/// Parameters of a gaussian.
+const PARAMETERS: f64 = 14.0;
+/// Operations for one gaussian at one pixel, forward and backward, as the kernels count.
+const FORWARD_FLOPS: f64 = 36.0;
+const BACKWARD_FLOPS: f64 = 80.0;
+
+/// Hands every stage to `bench`.
+pub fn bench(
+    input: &Input,
+    bench: &mut impl FnMut(Stage<'_>) -> anyhow::Result<()>,
+) -> anyhow::Result<()> {
+    let frame = &input.frames[0];
+    let view = View {
+        camera: frame.camera,
+        world_from_camera: Se3::identity(),
+    };
+    let gaussians = scene(frame)?;
+    let target = Target::new(frame.color.clone(), frame.depth_m.clone())?;
+    let settings = LossSettings::default();
+    let pixels = (view.camera.width * view.camera.height) as f64;
+    let size = format!("{GAUSSIANS} gaussians");
+    let gaussian_bytes = 4.0 * PARAMETERS * GAUSSIANS as f64;
+
+    let mut rasterizer = Rasterizer::default();
+    let pass = rasterizer.render(&gaussians, &view);
+    let pairs = pass.evaluations() as f64;
+    let rendered = pass.rendered().clone();
+    let loss = photometric_loss(
+        &rendered.color,
+        &rendered.depth_m,
+        &rendered.alpha,
+        &target,
+        &settings,
+    )?;
+    let cotangents = Cotangents {
+        d_color: loss.d_color,
+        d_depth_m: loss.d_depth_m,
+        d_alpha: loss.d_alpha,
+    };
+    let loss_of = |gaussians: &Gaussians| -> anyhow::Result<f64> {
+        let mut rasterizer = Rasterizer::default();
+        let pass = rasterizer.render(gaussians, &view);
+        let rendered = pass.rendered();
+        let loss = photometric_loss(
+            &rendered.color,
+            &rendered.depth_m,
+            &rendered.alpha,
+            &target,
+            &settings,
+        );
+        Ok(loss?.total)
+    };
+    let mut gradients = GaussianGradients::default();
+    Rasterizer::default()
+        .render(&gaussians, &view)
+        .vjp(&cotangents, &mut gradients);
+
+    let (scene_ref, view_ref) = (&gaussians, &view);
+    let forward_work = format!("{size}, {:.1}M evaluations", 1e-6 * pairs);
+    bench(Stage {
+        name: "forward",
+        work: forward_work.clone(),
+        bytes: gaussian_bytes + 20.0 * pixels,
+        flops: FORWARD_FLOPS * pairs,
+        check: Box::new(|| {
+            let covered = rendered
+                .alpha
+                .data()
+                .iter()
+                .filter(|alpha| **alpha > 0.5)
+                .count();
+            ensure!(
+                covered as f64 > 0.05 * pixels,
+                "only {covered} pixels are covered"
+            );
+            Ok(())
+        }),
+        run: Box::new(|| {
+            black_box(rasterizer.render(scene_ref, view_ref));
+        }),
+    })?;
+
+    let mut rasterizer = Rasterizer::default();
+    let mut timed = GaussianGradients::default();
+    bench(Stage {
+        name: "forward + backward",
+        work: forward_work,
+        bytes: 3.0 * gaussian_bytes + 40.0 * pixels,
+        flops: (FORWARD_FLOPS + BACKWARD_FLOPS) * pairs,
+        check: Box::new(|| {
+            // Along the colours' gradient the loss changes as the gradient says.
+            let length2: f64 = gradients
+                .d_sh
+                .as_flattened()
+                .iter()
+                .map(|d| f64::from(*d).powi(2))
+                .sum();
+            ensure!(length2 > 0.0, "the gradient is zero");
+            let moved = |step: f64| {
+                let mut moved = gaussians.clone();
+                let colors = moved.sh.as_flattened_mut().iter_mut();
+                for (sh, d) in colors.zip(gradients.d_sh.as_flattened()) {
+                    *sh += (step * f64::from(*d) / length2.sqrt()) as f32;
+                }
+                loss_of(&moved)
+            };
+            // Far enough for single precision, near enough for a straight line.
+            let step = 1.0;
+            let slope = (moved(step)? - moved(-step)?) / (2.0 * step);
+            let error = (slope / length2.sqrt() - 1.0).abs();
+            ensure!(error <= 0.02, "the gradient is off by {error}");
+            Ok(())
+        }),
+        run: Box::new(|| {
+            let mut pass = rasterizer.render(scene_ref, view_ref);
+            pass.vjp(&cotangents, &mut timed);
+            black_box(&timed);
+        }),
+    })?;
+
+    let loss = || {
+        photometric_loss(
+            &rendered.color,
+            &rendered.depth_m,
+            &rendered.alpha,
+            &target,
+            &settings,
+        )
+    };
+    bench(Stage {
+        name: "loss and its gradient",
+        work: format!("{}x{}", view.camera.width, view.camera.height),
+        bytes: 47.0 * pixels,
+        // Four blurs forward and three back of three channels, 11 taps along each axis.
+        flops: 7.0 * 3.0 * 2.0 * 22.0 * pixels,
+        check: Box::new(|| {
+            let found = loss()?.total;
+            ensure!(found.is_finite() && found > 0.0, "{found}");
+            Ok(())
+        }),
+        run: Box::new(|| {
+            black_box(loss().is_ok());
+        }),
+    })?;
+
+    let rates = LearningRates::default();
+    let touched = gradients.touched.len() as f64;
+    let (mut adam, mut moving) = (Adam::default(), gaussians.clone());
+    adam.extend(GAUSSIANS);
+    bench(Stage {
+        name: "Adam",
+        work: format!("{touched} gaussians touched"),
+        bytes: 28.0 * PARAMETERS * touched,
+        flops: 15.0 * PARAMETERS * touched,
+        check: Box::new(|| {
+            let (mut adam, mut moving) = (Adam::default(), gaussians.clone());
+            adam.extend(GAUSSIANS);
+            adam.step(&mut moving, &gradients, &rates)?;
+            ensure!(
+                loss_of(&moving)? < loss_of(&gaussians)?,
+                "a step does not lower the loss"
+            );
+            Ok(())
+        }),
+        run: Box::new(|| {
+            black_box(adam.step(&mut moving, &gradients, &rates).is_ok());
+        }),
+    })?;
+
+    let mut model = CpuModel::new(ModelSettings::default());
+    model.insert(&Seeds {
+        gaussians: gaussians.clone(),
+        sparse_ids: vec![None; GAUSSIANS],
+    })?;
+    let id = model.add_view(view, target.clone())?;
+    bench(Stage {
+        name: "whole step",
+        work: size,
+        bytes: (3.0 * 4.0 + 28.0) * PARAMETERS * touched + 87.0 * pixels,
+        flops: (FORWARD_FLOPS + BACKWARD_FLOPS) * pairs + 924.0 * pixels,
+        check: Box::new(|| Ok(())),
+        run: Box::new(|| {
+            black_box(model.step(id).is_ok());
+            model.take_stats();
+        }),
+    })
+}
+
+fn scene(frame: &RgbdFrame) -> anyhow::Result<Gaussians> {
+    let camera = &frame.camera;
+    let measured: Vec<(usize, usize)> = (0..camera.height)
+        .flat_map(|v| (0..camera.width).map(move |u| (u, v)))
+        .filter(|&(u, v)| has_depth(frame.depth_m.at(u, v)))
+        .collect();
+    ensure!(!measured.is_empty(), "the frame has no depth");
+    let mut rng = Pcg64Mcg::seed_from_u64(1);
+    let mut gaussians = Gaussians::default();
+    for _ in 0..GAUSSIANS {
+        let (u, v) = measured[rng.random_range(0..measured.len())];
+        let depth_m = f64::from(frame.depth_m.at(u, v));
+        let mean = camera.unproject(u as f64, v as f64, depth_m);
+        gaussians
+            .means
+            .push([mean.x, mean.y, mean.z].map(|x| x as f32));
+        gaussians
+            .quats
+            .push(std::array::from_fn(|_| rng.random_range(-1.0..1.0)));
+        let pixel_m = (depth_m / camera.intrinsics.fx) as f32;
+        gaussians.log_scales.push(std::array::from_fn(|_| {
+            (pixel_m * rng.random_range(1.0..2.0_f32)).ln()
+        }));
+        gaussians.opacity_logits.push((0.99_f32 / 0.01).ln());
+        let rgb = frame.color.at(u, v);
+        gaussians
+            .sh
+            .push(rgb.map(|c| ((f64::from(c) / 255.0 - 0.5) / SH0_FACTOR) as f32));
+    }
+    Ok(gaussians)
+}
