@@ -22,8 +22,9 @@ const BETA_1: f64 = 0.9;
 /// Decay of the second moment (Kingma and Ba 2015).
 const BETA_2: f64 = 0.999;
 /// Learning rates fall as `1 / sqrt(1 + t / DECAY_STEPS)`, slowly enough for Adam to arrive
-/// anywhere (Kingma and Ba 2015, Theorem 4.1). A gaussian is fitted after a few dozen steps; what
-/// moves it from then on is mostly the difference between views.
+/// anywhere (Kingma and Ba 2015, Theorem 4.1), those of the centres as the square of that: a centre
+/// that keeps moving undoes what the other parameters have learnt. A gaussian is fitted after a few
+/// dozen steps; what moves it from then on is mostly the difference between views.
 const DECAY_STEPS: f64 = 50.0;
 /// Far below any gradient: the loss is a mean over a million values, so that gradients near the
 /// customary 1e-8 are common and would be damped by it.
@@ -162,7 +163,7 @@ impl Adam {
         let (first, second) = (&mut self.first, &mut self.second);
         update(
             &active,
-            rates.means,
+            |gaussian| rates.means * gaussian.decay * gaussian.decay,
             &mut gaussians.means,
             &gradients.d_means,
             &mut first.means,
@@ -170,7 +171,7 @@ impl Adam {
         );
         update(
             &active,
-            rates.quats,
+            |gaussian| rates.quats * gaussian.decay,
             &mut gaussians.quats,
             &gradients.d_quats,
             &mut first.quats,
@@ -178,7 +179,7 @@ impl Adam {
         );
         update(
             &active,
-            rates.log_scales,
+            |gaussian| rates.log_scales * gaussian.decay,
             &mut gaussians.log_scales,
             &gradients.d_log_scales,
             &mut first.log_scales,
@@ -186,7 +187,7 @@ impl Adam {
         );
         update(
             &active,
-            rates.opacity_logits,
+            |gaussian| rates.opacity_logits * gaussian.decay,
             gaussians.opacity_logits.as_chunks_mut::<1>().0,
             gradients.d_opacity_logits.as_chunks::<1>().0,
             first.opacity_logits.as_chunks_mut::<1>().0,
@@ -194,7 +195,7 @@ impl Adam {
         );
         update(
             &active,
-            rates.sh,
+            |gaussian| rates.sh * gaussian.decay,
             &mut gaussians.sh,
             &gradients.d_sh,
             &mut first.sh,
@@ -217,8 +218,9 @@ fn is_usable(gradients: &GaussianGradients, i: usize) -> bool {
 /// A gaussian to be moved, and what its number of steps makes of its moments.
 struct Active {
     index: u32,
-    /// `1 / (1 - beta_1^t)`, the bias correction of the first moment, times the decay of the
-    /// learning rates.
+    /// What is left of the learning rates (of the centres' its square).
+    decay: f32,
+    /// `1 / (1 - beta_1^t)`, the bias correction of the first moment.
     first: f32,
     /// `1 / sqrt(1 - beta_2^t)`, which the second moment's root is multiplied by.
     second_root: f32,
@@ -229,21 +231,17 @@ impl Active {
         let steps = steps_before.min(i32::MAX as u32 - 1) as i32 + 1;
         Self {
             index,
-            first: (decay(steps_before) / (1.0 - BETA_1.powi(steps))) as f32,
+            decay: (1.0 + f64::from(steps_before) / DECAY_STEPS).sqrt().recip() as f32,
+            first: (1.0 - BETA_1.powi(steps)).recip() as f32,
             second_root: (1.0 - BETA_2.powi(steps)).sqrt().recip() as f32,
         }
     }
 }
 
-/// What is left of the learning rates after so many steps.
-fn decay(steps: u32) -> f64 {
-    (1.0 + f64::from(steps) / DECAY_STEPS).sqrt().recip()
-}
-
 /// One step of one of the parameters' arrays. `active` ascends.
 fn update<const K: usize>(
     active: &[Active],
-    rate: f32,
+    rate: impl Fn(&Active) -> f32 + Sync,
     params: &mut [[f32; K]],
     gradients: &[[f32; K]],
     first: &mut [[f32; K]],
@@ -260,6 +258,7 @@ fn update<const K: usize>(
             for gaussian in &active[position(start)..position(start + params.len())] {
                 let i = gaussian.index as usize;
                 let local = i - start;
+                let rate = rate(gaussian);
                 for k in 0..K {
                     let gradient = gradients[i][k];
                     let (m, v) = (&mut first[local][k], &mut second[local][k]);

@@ -25,9 +25,22 @@ pub(super) fn reflect(image: &Image<u8>, border: Border) -> Image<u8> {
     };
     let columns = sources(border.left, width, border.right);
     let rows = sources(border.top, height, border.bottom);
-    Image::from_fn(columns.len(), rows.len(), |u, v| {
-        image.at(columns[u], rows[v])
-    })
+    let (before, after) = (&columns[..border.left], &columns[border.left + width..]);
+    let mut reflected = Image::filled(columns.len(), rows.len(), image.at(0, 0));
+    for (to, &v) in reflected.data_mut().chunks_mut(columns.len()).zip(&rows) {
+        let from = image.row(v);
+        let (left, rest) = to.split_at_mut(border.left);
+        let (middle, right) = rest.split_at_mut(width);
+        left.iter_mut()
+            .zip(before)
+            .for_each(|(to, &u)| *to = from[u]);
+        middle.copy_from_slice(from);
+        right
+            .iter_mut()
+            .zip(after)
+            .for_each(|(to, &u)| *to = from[u]);
+    }
+    reflected
 }
 
 /// The index in `0..len` seen at `index - offset`.

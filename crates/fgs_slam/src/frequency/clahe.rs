@@ -15,7 +15,8 @@ const GRID: usize = 32;
 /// A histogram's bar may be this many times the mean bar.
 const CLIP: f64 = 2.0;
 
-type Table = [u8; 256];
+/// The new level of each level, a whole number.
+type Table = [f32; 256];
 
 /// The equalised image, of at least one pixel.
 pub(super) fn equalize(image: &Image<u8>) -> Image<u8> {
@@ -49,17 +50,22 @@ pub(super) fn equalize(image: &Image<u8>) -> Image<u8> {
     let columns = neighbors(width, tile_width);
     let rows = neighbors(height, tile_height);
     let mut equalized = image.clone();
-    for (row, levels) in rows.iter().zip(equalized.data_mut().chunks_mut(width)) {
-        let upper = &tables[row.before * GRID..][..GRID];
-        let lower = &tables[row.after * GRID..][..GRID];
-        for (column, level) in columns.iter().zip(levels) {
-            let blend = |tables: &[Table]| {
-                let [before, after] = [column.before, column.after]
-                    .map(|tile| f32::from(tables[tile][usize::from(*level)]));
-                before * (1.0 - column.fraction) + after * column.fraction
-            };
-            let value = blend(upper) * (1.0 - row.fraction) + blend(lower) * row.fraction;
-            *level = byte_from_float(value);
+    for (row, mut levels) in rows.iter().zip(equalized.data_mut().chunks_mut(width)) {
+        // Between the centres of four tiles their tables stay the same.
+        for run in columns.chunk_by(|a, b| (a.before, a.after) == (b.before, b.after)) {
+            let table = |row: usize, column: usize| &tables[row * GRID + column];
+            let [upper, lower] = [row.before, row.after]
+                .map(|row| [run[0].before, run[0].after].map(|column| table(row, column)));
+            let (here, rest) = levels.split_at_mut(run.len());
+            levels = rest;
+            for (column, level) in run.iter().zip(here) {
+                let blend = |tables: [&Table; 2]| {
+                    let [before, after] = tables.map(|table| table[usize::from(*level)]);
+                    before * (1.0 - column.fraction) + after * column.fraction
+                };
+                let value = blend(upper) * (1.0 - row.fraction) + blend(lower) * row.fraction;
+                *level = byte_from_float(value);
+            }
         }
     }
     equalized
@@ -91,7 +97,7 @@ fn clipped_equalization<'a>(rows: impl Iterator<Item = &'a [u8]>, area: usize) -
     let mut cumulated = 0;
     histogram.map(|count| {
         cumulated += count;
-        byte_from_float(cumulated as f32 * scale)
+        f32::from(byte_from_float(cumulated as f32 * scale))
     })
 }
 

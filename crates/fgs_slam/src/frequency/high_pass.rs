@@ -20,6 +20,7 @@ pub(super) struct HighPass {
     height: usize,
     across: Kernel,
     down: Kernel,
+    filtered: Vec<f32>,
 }
 
 impl HighPass {
@@ -32,19 +33,18 @@ impl HighPass {
             height,
             across: Kernel::new(width, cutoff_bins),
             down: Kernel::new(height, cutoff_bins),
+            filtered: vec![0.0; width * height],
         }
     }
 
     /// The filtered image. Both are row-major and of the filter's size.
-    pub fn apply(&self, image: &[f32]) -> Vec<f32> {
+    pub fn apply(&mut self, image: &[f32]) -> &[f32] {
         debug_assert_eq!(image.len(), self.width * self.height);
-        let mut filtered = vec![0.0; image.len()];
         pulp::Arch::new().dispatch(Convolution {
             filter: self,
             image,
-            filtered: &mut filtered,
         });
-        filtered
+        &self.filtered
     }
 }
 
@@ -86,9 +86,8 @@ impl Kernel {
 
 /// The work, compiled for each instruction set.
 struct Convolution<'a> {
-    filter: &'a HighPass,
+    filter: &'a mut HighPass,
     image: &'a [f32],
-    filtered: &'a mut [f32],
 }
 
 impl pulp::WithSimd for Convolution<'_> {
@@ -101,6 +100,7 @@ impl pulp::WithSimd for Convolution<'_> {
             height,
             across,
             down,
+            filtered,
         } = self.filter;
         let (width, height) = (*width, *height);
         let margin = across.weights.len() - 1;
@@ -108,7 +108,7 @@ impl pulp::WithSimd for Convolution<'_> {
         let mut blurred = vec![0.0; width + 2 * margin];
         let mut low = vec![0.0; width];
         let row = |v: usize| &self.image[v % height * width..][..width];
-        for (v, filtered) in self.filtered.chunks_mut(width.max(1)).enumerate() {
+        for (v, filtered) in filtered.chunks_mut(width.max(1)).enumerate() {
             let middle = &mut blurred[margin..margin + width];
             convolve(middle, &down.weights, |k| [row(v + height - k), row(v + k)]);
             blurred.copy_within(width..width + margin, 0);
@@ -130,19 +130,32 @@ impl pulp::WithSimd for Convolution<'_> {
 #[inline(always)]
 fn convolve<'a>(sum: &mut [f32], weights: &[f32], lines: impl Fn(usize) -> [&'a [f32]; 2]) {
     // So many pixels stay in registers while the taps run over them.
-    const BLOCK: usize = 128;
-    for start in (0..sum.len()).step_by(BLOCK) {
-        let len = BLOCK.min(sum.len() - start);
-        let mut block = [0.0; BLOCK];
+    const BLOCK: usize = 64;
+    let len = sum.len();
+    let tap = |k: usize, weight: f32| if k == 0 { 0.5 * weight } else { weight };
+    if len < BLOCK {
+        sum.fill(0.0);
         for (k, &weight) in weights.iter().enumerate() {
             let [before, after] = lines(k);
-            let weight = if k == 0 { 0.5 * weight } else { weight };
-            let (before, after) = (&before[start..start + len], &after[start..start + len]);
-            for ((sum, a), b) in block.iter_mut().zip(before).zip(after) {
-                *sum += weight * (a + b);
+            for ((sum, a), b) in sum.iter_mut().zip(before).zip(after) {
+                *sum += tap(k, weight) * (a + b);
             }
         }
-        sum[start..start + len].copy_from_slice(&block[..len]);
+        return;
+    }
+    // The last block overlaps the one before.
+    for start in (0..len).step_by(BLOCK).map(|start| start.min(len - BLOCK)) {
+        let mut block = [0.0; BLOCK];
+        for (k, &weight) in weights.iter().enumerate() {
+            let weight = tap(k, weight);
+            let [before, after] = lines(k).map(|line| line[start..].first_chunk::<BLOCK>());
+            if let (Some(before), Some(after)) = (before, after) {
+                for i in 0..BLOCK {
+                    block[i] += weight * (before[i] + after[i]);
+                }
+            }
+        }
+        sum[start..start + BLOCK].copy_from_slice(&block);
     }
 }
 
@@ -162,7 +175,8 @@ mod tests {
             .collect();
         let exact: Vec<f64> = image.iter().map(|&x| x.into()).collect();
         let expected = fourier::HighPass::new(width, height, cutoff_bins).apply(&exact);
-        let filtered = HighPass::new(width, height, cutoff_bins).apply(&image);
+        let mut filter = HighPass::new(width, height, cutoff_bins);
+        let filtered = filter.apply(&image);
         let largest = expected.iter().fold(0.0, |a: f64, b| a.max(b.abs()));
         let errors = filtered.iter().zip(&expected);
         let errors = errors.map(|(a, b)| (f64::from(*a) - b).abs());
@@ -188,7 +202,8 @@ mod tests {
 
     #[test]
     fn a_constant_image_has_no_response() {
-        let filtered = HighPass::new(300, 200, 10).apply(&[77.0; 300 * 200]);
+        let mut filter = HighPass::new(300, 200, 10);
+        let filtered = filter.apply(&[77.0; 300 * 200]);
         assert!(filtered.iter().all(|x| x.abs() <= 1e-4));
     }
 

@@ -30,6 +30,9 @@ const SHORTER_SIDE_PER_CUTOFF_BIN: usize = 20;
 /// level off stands out by almost 1, and single precision is good to about 1e-3.
 const MIN_RESPONSE_RANGE: f32 = 0.01;
 
+/// Values that are compared side by side.
+const LANES: usize = 16;
+
 /// What can be chosen about the segmentation.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct FrequencySettings {
@@ -43,6 +46,8 @@ pub struct FrequencySegmenter {
     height: usize,
     settings: FrequencySettings,
     high_pass: HighPass,
+    /// The image with its border.
+    padded: Vec<f32>,
 }
 
 impl FrequencySegmenter {
@@ -57,6 +62,7 @@ impl FrequencySegmenter {
                 height + 2 * PADDING,
                 width.min(height) / SHORTER_SIDE_PER_CUTOFF_BIN,
             ),
+            padded: Vec::new(),
         }
     }
 
@@ -75,17 +81,6 @@ impl FrequencySegmenter {
         if gray.data().is_empty() {
             return gray.map(|_| false);
         }
-        let levels = levels_from_response(&self.response(gray));
-        let mut histogram = [0; 256];
-        for &level in levels.data() {
-            histogram[usize::from(level)] += 1;
-        }
-        let threshold = triangle::triangle_threshold(&histogram);
-        levels.map(|&level| i32::from(level) > threshold)
-    }
-
-    /// The absolute high-frequency response at each pixel, in grey levels.
-    fn response(&mut self, gray: &Image<u8>) -> Image<f32> {
         let mut padded = reflect(
             gray,
             Border {
@@ -98,25 +93,55 @@ impl FrequencySegmenter {
         if self.settings.clahe {
             padded = clahe::equalize(&padded);
         }
-        let padded = padded.map(|&level| f32::from(level));
-        let filtered = self.high_pass.apply(padded.data());
-        Image::from_fn(gray.width(), gray.height(), |u, v| {
-            filtered[(v + PADDING) * padded.width() + u + PADDING].abs()
-        })
+        self.padded.clear();
+        self.padded
+            .extend(padded.data().iter().map(|&level| f32::from(level)));
+        let filtered = self.high_pass.apply(&self.padded);
+        let rows = filtered.chunks(padded.width()).skip(PADDING);
+        let rows = rows.map(|row| &row[PADDING..PADDING + gray.width()]);
+        let mut levels = Image::filled(gray.width(), gray.height(), 0);
+        pulp::Arch::new().dispatch(|| levels_from_response(rows, &mut levels));
+        let mut histogram = [0; 256];
+        for &level in levels.data() {
+            histogram[usize::from(level)] += 1;
+        }
+        let threshold = triangle::triangle_threshold(&histogram);
+        levels.map(|&level| i32::from(level) > threshold)
     }
 }
 
-/// The response scaled to 0..=255; all zero if it is constant.
-fn levels_from_response(response: &Image<f32>) -> Image<u8> {
-    let (mut min, mut max) = (f32::INFINITY, f32::NEG_INFINITY);
-    for &value in response.data() {
-        (min, max) = (min.min(value), max.max(value));
+/// The absolute response (grey levels; by rows) scaled to 0..=255; all zero if it is constant.
+#[inline(always)]
+fn levels_from_response<'a>(rows: impl Iterator<Item = &'a [f32]> + Clone, levels: &mut Image<u8>) {
+    let (mut min, mut max) = ([f32::INFINITY; LANES], [0.0; LANES]);
+    let height = levels.height();
+    for row in rows.clone().take(height) {
+        // Lanes, so that there is no order to keep.
+        let (chunks, rest) = row.as_chunks::<LANES>();
+        for chunk in chunks {
+            for lane in 0..LANES {
+                let value = chunk[lane].abs();
+                min[lane] = if value < min[lane] { value } else { min[lane] };
+                max[lane] = if value > max[lane] { value } else { max[lane] };
+            }
+        }
+        for value in rest {
+            min[0] = min[0].min(value.abs());
+            max[0] = max[0].max(value.abs());
+        }
     }
+    let min = min.into_iter().fold(f32::INFINITY, f32::min);
+    let max = max.into_iter().fold(0.0, f32::max);
     if max - min < MIN_RESPONSE_RANGE {
-        return response.map(|_| 0);
+        return;
     }
     let scale = 255.0 / (max - min);
-    response.map(|&value| byte_from_float((value - min) * scale))
+    let width = levels.width();
+    for (levels, row) in levels.data_mut().chunks_mut(width).zip(rows) {
+        for (level, value) in levels.iter_mut().zip(row) {
+            *level = byte_from_float((value.abs() - min) * scale);
+        }
+    }
 }
 
 /// The nearest integer, of two equally near ones the even one, of a value in 0..=255. At 2^23 floats

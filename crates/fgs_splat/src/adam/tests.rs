@@ -52,8 +52,8 @@ struct Textbook {
 }
 
 impl Textbook {
-    fn step(&mut self, gradient: f64, rate: f64) -> f64 {
-        let rate = rate / (1.0 + f64::from(self.t) / 50.0).sqrt();
+    fn step(&mut self, gradient: f64, rate: f64, decay_power: f64) -> f64 {
+        let rate = rate / (1.0 + f64::from(self.t) / 50.0).powf(decay_power);
         self.t += 1;
         self.m = 0.9 * self.m + 0.1 * gradient;
         self.v = 0.999 * self.v + 0.001 * gradient * gradient;
@@ -96,7 +96,9 @@ fn follows_the_textbook_per_gaussian() {
         for i in touched.iter().map(|i| *i as usize) {
             let gradient = params(&gradients, i);
             for k in 0..14 {
-                moved[i][k] += textbook[i][k].step(gradient[k].into(), RATES[k].into());
+                let decay_power = if k < 3 { 1.0 } else { 0.5 };
+                let (gradient, rate) = (gradient[k].into(), RATES[k].into());
+                moved[i][k] += textbook[i][k].step(gradient, rate, decay_power);
             }
         }
     }
