@@ -96,6 +96,12 @@ impl Covariance {
         self.upper.iter().all(|value| value.is_finite())
     }
 
+    /// `[xx, xy, xz, yy, yz, zz]`.
+    #[inline]
+    pub(crate) fn upper(&self) -> &[f32; 6] {
+        &self.upper
+    }
+
     /// The full matrix.
     #[inline]
     pub fn matrix(&self) -> Matrix3<f64> {

@@ -9,9 +9,11 @@
 
 use fgs_geom::Se3;
 use nalgebra::{Matrix3, Vector3};
+use pulp::NullaryFnOnce;
 use rayon::prelude::*;
 
-use crate::registration::{AlignError, Alignment, Conditioning, Factor, LinearSystem, Settings};
+use crate::registration::pair_batch::PairBatch;
+use crate::registration::{AlignError, Alignment, Conditioning, LinearSystem, Settings};
 use crate::target::LastingNearest;
 use crate::{Point, PointMap};
 
@@ -141,32 +143,41 @@ fn linearize_chunk(
     nearest: &mut [LastingNearest],
 ) -> LinearSystem {
     let max_distance_m = settings.max_correspondence_distance_m;
-    let mut system = LinearSystem::zero();
-    for (point, nearest) in source.iter().zip(nearest) {
-        let p = point.position.cast::<f64>();
-        let query = (rotation * p + translation).cast::<f32>();
+    for (point, nearest) in source.iter().zip(&mut *nearest) {
+        let query = (rotation * point.position.cast::<f64>() + translation).cast::<f32>();
         if !nearest.holds_at(&query) {
             *nearest = target.lasting_nearest(&query, max_distance_m, MARGIN * max_distance_m);
         }
-        let Some(neighbor) = nearest.slot.map(|slot| target.point_in(slot)) else {
-            continue;
-        };
-        let factor = Factor::new(
-            &p,
-            &point.covariance.matrix(),
-            &neighbor.position.cast(),
-            &neighbor.covariance.matrix(),
-            rotation,
-            translation,
-        );
-        let Some(factor) = factor else {
-            continue;
-        };
-        let squared_residual = factor.squared_residual();
-        let weight = settings.kernel.weight(squared_residual);
-        system.add(&p, &factor, weight, squared_residual);
     }
-    system
+    pulp::Arch::new().dispatch(SumPairs {
+        batch: PairBatch::new(rotation, translation, settings.kernel),
+        source,
+        target,
+        nearest,
+    })
+}
+
+/// Sums up the pairs that were found, compiled for each instruction set.
+struct SumPairs<'a> {
+    batch: PairBatch,
+    source: &'a [Point],
+    target: &'a PointMap,
+    nearest: &'a [LastingNearest],
+}
+
+impl NullaryFnOnce for SumPairs<'_> {
+    type Output = LinearSystem;
+
+    #[inline(always)]
+    fn call(self) -> LinearSystem {
+        let mut batch = self.batch;
+        for (point, nearest) in self.source.iter().zip(self.nearest) {
+            if let Some(slot) = nearest.slot {
+                batch.push(point, self.target.point_in(slot));
+            }
+        }
+        batch.finish()
+    }
 }
 
 /// Mean of the points and their root mean square distance from it.

@@ -13,9 +13,9 @@ use crate::Factor;
 pub struct LinearSystem {
     /// Blocks of the sum of `w J^T M J`: rotation with itself, rotation with translation,
     /// translation with itself.
-    rotation_block: Matrix3<f64>,
-    mixed_block: Matrix3<f64>,
-    translation_block: Matrix3<f64>,
+    pub(super) rotation_block: Matrix3<f64>,
+    pub(super) mixed_block: Matrix3<f64>,
+    pub(super) translation_block: Matrix3<f64>,
     /// Sum of `w J^T M e`, half the cost's gradient.
     pub gradient: Vector6<f64>,
     /// Number of pairs.

@@ -4,6 +4,7 @@ mod align;
 mod alignment;
 mod factor;
 mod linear_system;
+mod pair_batch;
 mod settings;
 
 pub use align::align;
