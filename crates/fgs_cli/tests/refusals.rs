@@ -7,6 +7,8 @@ mod common;
 
 use std::fs;
 use std::path::Path;
+#[cfg(unix)]
+use std::process::Command;
 
 use common::{folder_with_recording, frame_files, names, run, stderr, stdout};
 
@@ -185,4 +187,23 @@ fn output_that_cannot_be_written() {
         1,
         &["file"],
     );
+}
+
+/// A limit on the size of files stands in for a disk that fills up while the map is written.
+#[test]
+#[cfg(unix)]
+fn a_disk_that_fills_up() {
+    let folder = folder_with_recording();
+    let limited = "trap '' XFSZ; ulimit -f 40; exec \"$0\" run room --out out --frames 0..6";
+    let output = Command::new("sh")
+        .current_dir(folder.path())
+        .args(["-c", limited, env!("CARGO_BIN_EXE_fgs")])
+        .output()
+        .unwrap();
+    let message = stderr(&output);
+    assert_eq!(output.status.code(), Some(1), "{message}");
+    assert!(message.starts_with("error: out/map.ply: "), "{message}");
+    assert_eq!(message.trim_end().lines().count(), 1, "{message}");
+    let left = names(&folder.path().join("out"));
+    assert!(!left.iter().any(|name| name.contains("map")), "{left:?}");
 }
