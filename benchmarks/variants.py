@@ -18,8 +18,15 @@ import tempfile
 from concurrent.futures import ThreadPoolExecutor
 
 FGS = pathlib.Path(__file__).parents[1] / "target/release/fgs"
+# The paper's choices where it says, else what seemed best before this was measured.
+BASE = [
+    "seeding.depth_mask=true", "seeding.color_mask=true", "seeding.disks=normal", "tracking.target=seeded",
+    "keyframes.new_points=distance", "seeding.clahe=true", "mapping.loss.normalize_depth=true",
+    "mapping.loss.mask_color_by_depth=false",
+]
+# What each changes of it.
 VARIANTS = {
-    "defaults": [],
+    "base": [],
     "mask: opacity only": ["seeding.depth_mask=false", "seeding.color_mask=false"],
     "mask: opacity, depth": ["seeding.color_mask=false"],
     "disks: by view": ["seeding.disks=view"],
@@ -29,13 +36,15 @@ VARIANTS = {
     "CLAHE: off": ["seeding.clahe=false"],
     "depth: not normalised": ["mapping.loss.normalize_depth=false"],
     "colour: only where depth is": ["mapping.loss.mask_color_by_depth=true"],
+    "defaults": None,  # all that came out of this
 }
 COLUMNS = ["psnr_valid_depth_db", "psnr_db", "psnr_heldout_db", "ssim", "depth_l1_m", "ate_rmse_m", "frames_lost", "num_gaussians", "fps"]
 
 
 def run(recording, options, variant, threads):
     """The metrics of one run, as one row of raw.csv."""
-    changes = [word for change in VARIANTS[variant] for word in ("--set", change)]
+    changes = [] if VARIANTS[variant] is None else BASE + VARIANTS[variant]
+    changes = [word for change in changes for word in ("--set", change)]
     with tempfile.TemporaryDirectory() as out:
         command = [FGS, "run", recording, *options, *changes, "--threads", str(threads), "--eval", "--out", f"{out}/run"]
         subprocess.run(command, check=True, stdout=subprocess.DEVNULL)

@@ -205,9 +205,9 @@ impl Default for SeedingConfig {
             high_sigma_px: 0.8,
             low_sigma_px: 1.6,
             min_alpha: 0.98,
-            depth_mask: true,
+            depth_mask: false,
             depth_error_factor: 10.0,
-            color_mask: true,
+            color_mask: false,
             max_color_error: 0.5,
             disks: Disks::Normal,
         }
