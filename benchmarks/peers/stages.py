@@ -70,20 +70,20 @@ def plan_segmentation(height, width):
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("recording", type=pathlib.Path, help="folder in the TUM or the Replica layout, with known poses")
+    parser.add_argument("sequence", type=pathlib.Path, help="folder in the TUM or the Replica layout, with known poses")
     parser.add_argument("--camera", type=pathlib.Path, help="default: RECORDING/camera.toml")
     parser.add_argument("--first", type=int, default=0)
     options = parser.parse_args()
     options.intrinsics = None
 
-    command = [FGS, "bench", options.recording, "--first", str(options.first), "--json"]
+    command = [FGS, "bench", options.sequence, "--first", str(options.first), "--json"]
     command += ["--camera", options.camera] if options.camera else []
     events = [json.loads(line) for line in subprocess.run(command, check=True, capture_output=True, text=True).stdout.splitlines()]
     ours = {(row["stage"], row["threads"]): (row["median_ms"], row["best_ms"]) for row in events if row["event"] == "stage"}
     our_error_mm = next(row["median_mm"] for row in events if row["event"] == "registration_error")
 
     intrinsics, depth_scale = read_camera(options)
-    times, paths, reference = read_sequence(options.recording)
+    times, paths, reference = read_sequence(options.sequence)
     frames = range(options.first, min(len(paths), options.first + PAIRS + 1))
     points = [read_points(paths[i], intrinsics, depth_scale, STRIDE) for i in frames]
     nearest = [int(np.argmin(np.abs(reference.timestamps - times[i]))) for i in frames]
@@ -113,7 +113,7 @@ def main():
         errors_mm.append(1e3 * np.sqrt(np.mean(np.sum(error**2, axis=1))))
     print(f"median error of {len(errors_mm)} pairs: peer {statistics.median(errors_mm):.3f} mm, ours {our_error_mm:.3f} mm")
 
-    color_paths = sorted((options.recording / "results").glob("frame*.jpg")) or sorted((options.recording / "rgb").iterdir())
+    color_paths = sorted((options.sequence / "results").glob("frame*.jpg")) or sorted((options.sequence / "rgb").iterdir())
     color = cv2.imread(str(color_paths[options.first]))
     plan_segmentation(*color.shape[:2])
     cv2.setNumThreads(1)

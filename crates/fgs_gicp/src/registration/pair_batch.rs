@@ -215,7 +215,7 @@ impl PairBatch {
             sums.squared_residual[lane] += weight * squared[lane];
         }
         self.filled = 0;
-        (self.p, self.q) = ([ZERO; 3], [ZERO; 3]);
+        // Without covariances a lane has no information, wherever its points are.
         (self.source_covariance, self.target_covariance) = ([ZERO; 6], [ZERO; 6]);
     }
 }
