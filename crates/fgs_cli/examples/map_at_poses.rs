@@ -73,7 +73,7 @@ fn map_quality(
         let pass = rasterizer.render(&gaussians, &view);
         let rendered = pass.rendered();
         let surface_m = Image::from_fn(view.camera.width, view.camera.height, |u, v| {
-            rendered.depth_m.at(u, v) / rendered.alpha.at(u, v)
+            rendered.surface_depth_m(u, v)
         });
         psnr_db.extend(
             image_quality(&rendered.color, &frame.color, &frame.depth_m)?.psnr_valid_depth_db,

@@ -106,7 +106,9 @@ fn score_frame(
 ) -> Result<FrameRow, EvalError> {
     let rendered = render(rasterizer, gaussians, &frame.camera, world_from_camera);
     let quality = image_quality(&rendered.color, &frame.color, &frame.depth_m)?;
-    let depth_m = depth_of_surface(&rendered);
+    let depth_m = Image::from_fn(frame.depth_m.width(), frame.depth_m.height(), |u, v| {
+        rendered.surface_depth_m(u, v)
+    });
     let depth = depth_error(&depth_m, &rendered.alpha, &frame.depth_m)?;
     Ok(FrameRow {
         psnr_valid_depth_db: quality.psnr_valid_depth_db,
@@ -130,15 +132,6 @@ pub fn render(
         world_from_camera,
     };
     rasterizer.render(gaussians, &view).rendered().clone()
-}
-
-/// Rendered depth without the share of the background: divided by alpha, which is above 0.5
-/// wherever depth is compared.
-fn depth_of_surface(rendered: &Rendered) -> Image<f32> {
-    let (depth_m, alpha) = (&rendered.depth_m, &rendered.alpha);
-    Image::from_fn(depth_m.width(), depth_m.height(), |u, v| {
-        depth_m.at(u, v) / alpha.at(u, v)
-    })
 }
 
 fn fill_means(result: &mut RunResult) {

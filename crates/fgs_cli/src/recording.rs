@@ -54,3 +54,12 @@ pub fn check_size(dataset: &Dataset, index: usize) -> Result<(), UsageError> {
         _ => Ok(()),
     }
 }
+
+/// The folder's own name, also for paths such as `.`.
+pub fn name(folder: &Path) -> String {
+    let path = folder.canonicalize().unwrap_or_else(|_| folder.to_owned());
+    let name = path
+        .file_name()
+        .map(|name| name.to_string_lossy().into_owned());
+    name.unwrap_or_else(|| "run".into())
+}

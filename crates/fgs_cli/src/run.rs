@@ -102,7 +102,7 @@ fn resolve(args: &RunArgs) -> anyhow::Result<Plan> {
     settings.record_run(&args.dataset, mode, &frames);
     let folder = match &args.out {
         Some(path) => RunFolder::create(path)?,
-        None => RunFolder::create_new(Path::new(RUNS), &name_of(&args.dataset))?,
+        None => RunFolder::create_new(Path::new(RUNS), &recording::name(&args.dataset))?,
     };
     Ok(Plan {
         dataset_path: args.dataset.clone(),
@@ -113,15 +113,4 @@ fn resolve(args: &RunArgs) -> anyhow::Result<Plan> {
         folder,
         evaluate: args.eval,
     })
-}
-
-/// The folder's own name, also for paths such as `.`.
-fn name_of(dataset: &Path) -> String {
-    let path = dataset
-        .canonicalize()
-        .unwrap_or_else(|_| dataset.to_owned());
-    let name = path
-        .file_name()
-        .map(|name| name.to_string_lossy().into_owned());
-    name.unwrap_or_else(|| "run".into())
 }

@@ -33,16 +33,10 @@ pub fn missing_region(
         !opaque
             // M_d: something new stands in front of what the map shows. Where alpha is too low to
             // tell, M_i has already answered.
-            || surface_depth(rendered, u, v) - measured_m > behind_limit_m
+            || rendered.surface_depth_m(u, v) - measured_m > behind_limit_m
             // M_c
             || (config.color_mask && color_error(rendered, frame, u, v) > config.max_color_error)
     })
-}
-
-/// Depth of what is rendered at a pixel. Rendered depth is a sum of weights times depths; divided
-/// by the sum of weights it is a depth.
-fn surface_depth(rendered: &Rendered, u: usize, v: usize) -> f32 {
-    rendered.depth_m.at(u, v) / rendered.alpha.at(u, v)
 }
 
 fn color_error(rendered: &Rendered, frame: &RgbdFrame, u: usize, v: usize) -> f32 {
@@ -59,7 +53,7 @@ fn median_depth_error(rendered: &Rendered, frame: &RgbdFrame) -> f32 {
         for u in 0..frame.depth_m.width() {
             let measured_m = frame.depth_m.at(u, v);
             if has_depth(measured_m) && rendered.alpha.at(u, v) > 0.5 {
-                errors.push((surface_depth(rendered, u, v) - measured_m).abs());
+                errors.push((rendered.surface_depth_m(u, v) - measured_m).abs());
             }
         }
     }

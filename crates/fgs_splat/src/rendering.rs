@@ -55,6 +55,17 @@ pub struct Rendered<T = f32> {
     pub alpha: Image<T>,
 }
 
+impl Rendered {
+    /// Depth of what is rendered at pixel (u, v), metres, without the share of the background:
+    /// divided by alpha, so not finite where nothing is rendered.
+    ///
+    /// # Panics
+    /// If the pixel lies outside.
+    pub fn surface_depth_m(&self, u: usize, v: usize) -> f32 {
+        self.depth_m.at(u, v) / self.alpha.at(u, v)
+    }
+}
+
 /// The loss's derivatives by each image of [`Rendered`].
 #[derive(Clone, Debug, PartialEq)]
 pub struct Cotangents<T = f32> {

@@ -3,9 +3,11 @@
 use std::path::Path;
 
 use anyhow::{Context, bail};
-use fgs_data::{CameraFile, Dataset, OpenOptions};
 use fgs_geom::{RgbdFrame, Se3};
 use fgs_synth::{SensorModel, Sequence, kinect_camera};
+
+use crate::recording;
+use crate::settings::Settings;
 
 /// Frames of a recording: 50 pairs of neighbours.
 const RECORDED_FRAMES: usize = 51;
@@ -36,14 +38,7 @@ impl Input {
 
     /// Of a recording, from its frame `first`.
     pub fn recorded(path: &Path, first: usize, camera: Option<&Path>) -> anyhow::Result<Self> {
-        let camera = camera.map(CameraFile::read).transpose()?;
-        let dataset = Dataset::open(
-            path,
-            &OpenOptions {
-                camera,
-                ..OpenOptions::default()
-            },
-        )?;
+        let dataset = recording::open(path, camera, &mut Settings::default())?;
         let truth = dataset
             .ground_truth()
             .context("the recording has no known poses")?;
@@ -62,11 +57,8 @@ impl Input {
                 path.display()
             );
         }
-        let name = path
-            .file_name()
-            .map_or_else(String::new, |name| name.to_string_lossy().into_owned());
         Ok(Self {
-            name,
+            name: recording::name(path),
             frames,
             world_from_camera,
         })

@@ -8,14 +8,15 @@ use std::hint::black_box;
 use anyhow::ensure;
 use fgs_geom::{RgbdFrame, Se3, View, has_depth};
 use fgs_splat::{
-    Adam, Cotangents, CpuModel, GaussianGradients, GaussianModel, Gaussians, LearningRates,
-    LossSettings, ModelSettings, Rasterizer, SH0_FACTOR, Seeds, Target, photometric_loss,
+    Adam, Cotangents, CpuModel, Gaussian, GaussianGradients, GaussianModel, Gaussians,
+    LearningRates, LossSettings, ModelSettings, Rasterizer, Rendered, Seeds, Target, ViewId,
+    photometric_loss,
 };
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 
 use super::input::Input;
-use super::stage::Stage;
+use super::stage::{Bench, Stage};
 
 const GAUSSIANS: usize = 100_000;
 /// Parameters of a gaussian.
@@ -25,10 +26,7 @@ const FORWARD_FLOPS: f64 = 36.0;
 const BACKWARD_FLOPS: f64 = 80.0;
 
 /// Hands every stage to `bench`.
-pub fn bench(
-    input: &Input,
-    bench: &mut impl FnMut(Stage<'_>) -> anyhow::Result<()>,
-) -> anyhow::Result<()> {
+pub fn bench(input: &Input, bench: &mut Bench<'_>) -> anyhow::Result<()> {
     let frame = &input.frames[0];
     let view = View {
         camera: frame.camera,
@@ -45,30 +43,24 @@ pub fn bench(
     let pass = rasterizer.render(&gaussians, &view);
     let pairs = pass.evaluations() as f64;
     let rendered = pass.rendered().clone();
-    let loss = photometric_loss(
-        &rendered.color,
-        &rendered.depth_m,
-        &rendered.alpha,
-        &target,
-        &settings,
-    )?;
-    let cotangents = Cotangents {
-        d_color: loss.d_color,
-        d_depth_m: loss.d_depth_m,
-        d_alpha: loss.d_alpha,
+    let loss_of_images = |rendered: &Rendered| {
+        let Rendered {
+            color,
+            depth_m,
+            alpha,
+        } = rendered;
+        photometric_loss(color, depth_m, alpha, &target, &settings)
     };
     let loss_of = |gaussians: &Gaussians| -> anyhow::Result<f64> {
         let mut rasterizer = Rasterizer::default();
         let pass = rasterizer.render(gaussians, &view);
-        let rendered = pass.rendered();
-        let loss = photometric_loss(
-            &rendered.color,
-            &rendered.depth_m,
-            &rendered.alpha,
-            &target,
-            &settings,
-        );
-        Ok(loss?.total)
+        Ok(loss_of_images(pass.rendered())?.total)
+    };
+    let loss = loss_of_images(&rendered)?;
+    let cotangents = Cotangents {
+        d_color: loss.d_color,
+        d_depth_m: loss.d_depth_m,
+        d_alpha: loss.d_alpha,
     };
     let mut gradients = GaussianGradients::default();
     Rasterizer::default()
@@ -138,15 +130,6 @@ pub fn bench(
         }),
     })?;
 
-    let loss = || {
-        photometric_loss(
-            &rendered.color,
-            &rendered.depth_m,
-            &rendered.alpha,
-            &target,
-            &settings,
-        )
-    };
     bench(Stage {
         name: "loss and its gradient",
         work: format!("{}x{}", view.camera.width, view.camera.height),
@@ -154,12 +137,12 @@ pub fn bench(
         // Four blurs forward and three back of three channels, 11 taps along each axis.
         flops: 7.0 * 3.0 * 2.0 * 22.0 * pixels,
         check: Box::new(|| {
-            let found = loss()?.total;
+            let found = loss.total;
             ensure!(found.is_finite() && found > 0.0, "{found}");
             Ok(())
         }),
         run: Box::new(|| {
-            black_box(loss().is_ok());
+            black_box(loss_of_images(&rendered).is_ok());
         }),
     })?;
 
@@ -187,18 +170,29 @@ pub fn bench(
         }),
     })?;
 
-    let mut model = CpuModel::new(ModelSettings::default());
-    model.insert(&Seeds {
-        gaussians: gaussians.clone(),
-        sparse_ids: vec![None; GAUSSIANS],
-    })?;
-    let id = model.add_view(view, target.clone())?;
+    let new_model = || -> anyhow::Result<(CpuModel, ViewId)> {
+        let mut model = CpuModel::new(ModelSettings::default());
+        model.insert(&Seeds {
+            gaussians: gaussians.clone(),
+            sparse_ids: vec![None; GAUSSIANS],
+        })?;
+        let id = model.add_view(view, target.clone())?;
+        Ok((model, id))
+    };
+    let (mut model, id) = new_model()?;
     bench(Stage {
         name: "whole step",
         work: size,
         bytes: (3.0 * 4.0 + 28.0) * PARAMETERS * touched + 87.0 * pixels,
         flops: (FORWARD_FLOPS + BACKWARD_FLOPS) * pairs + 924.0 * pixels,
-        check: Box::new(|| Ok(())),
+        check: Box::new(|| {
+            let (mut model, id) = new_model()?;
+            model.step(id)?;
+            model.step(id)?;
+            let losses: Vec<f32> = model.take_stats().iter().map(|step| step.loss).collect();
+            ensure!(losses[1] < losses[0], "the loss goes from {losses:?}");
+            Ok(())
+        }),
         run: Box::new(|| {
             black_box(model.step(id).is_ok());
             model.take_stats();
@@ -219,21 +213,14 @@ fn scene(frame: &RgbdFrame) -> anyhow::Result<Gaussians> {
         let (u, v) = measured[rng.random_range(0..measured.len())];
         let depth_m = f64::from(frame.depth_m.at(u, v));
         let mean = camera.unproject(u as f64, v as f64, depth_m);
-        gaussians
-            .means
-            .push([mean.x, mean.y, mean.z].map(|x| x as f32));
-        gaussians
-            .quats
-            .push(std::array::from_fn(|_| rng.random_range(-1.0..1.0)));
         let pixel_m = (depth_m / camera.intrinsics.fx) as f32;
-        gaussians.log_scales.push(std::array::from_fn(|_| {
-            (pixel_m * rng.random_range(1.0..2.0_f32)).ln()
-        }));
-        gaussians.opacity_logits.push((0.99_f32 / 0.01).ln());
-        let rgb = frame.color.at(u, v);
-        gaussians
-            .sh
-            .push(rgb.map(|c| ((f64::from(c) / 255.0 - 0.5) / SH0_FACTOR) as f32));
+        gaussians.push(&Gaussian {
+            mean: [mean.x, mean.y, mean.z].map(|x| x as f32),
+            quat: std::array::from_fn(|_| rng.random_range(-1.0..1.0)),
+            scales: std::array::from_fn(|_| pixel_m * rng.random_range(1.0..2.0)),
+            opacity: 0.99,
+            rgb: frame.color.at(u, v).map(|c| f32::from(c) / 255.0),
+        });
     }
     Ok(gaussians)
 }

@@ -19,6 +19,9 @@ pub struct Stage<'a> {
     pub run: Box<dyn FnMut() + Send + 'a>,
 }
 
+/// Checks a stage, times it and prints the times.
+pub type Bench<'a> = dyn FnMut(Stage<'_>) -> anyhow::Result<()> + 'a;
+
 /// Wall times of a stage.
 pub struct Times {
     pub median_ms: f64,

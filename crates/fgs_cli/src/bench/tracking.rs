@@ -9,7 +9,7 @@ use fgs_slam::frequency::{FrequencySegmenter, FrequencySettings};
 use nalgebra::Vector3;
 
 use super::input::Input;
-use super::stage::Stage;
+use super::stage::{Bench, Stage};
 use crate::console::Console;
 
 /// Pixels between the points that are registered.
@@ -23,21 +23,14 @@ const CELL_M: f32 = 0.045;
 const MAX_ERROR_M: f64 = 0.02;
 
 /// Hands every stage to `bench`.
-pub fn bench(
-    input: &Input,
-    console: Console,
-    bench: &mut impl FnMut(Stage<'_>) -> anyhow::Result<()>,
-) -> anyhow::Result<()> {
+pub fn bench(input: &Input, console: Console, bench: &mut Bench<'_>) -> anyhow::Result<()> {
     segmentation(input, bench)?;
     pair_errors(input, console)?;
     registration(input, 1, bench)?;
     registration(input, MAP_FRAMES, bench)
 }
 
-fn segmentation(
-    input: &Input,
-    bench: &mut impl FnMut(Stage<'_>) -> anyhow::Result<()>,
-) -> anyhow::Result<()> {
+fn segmentation(input: &Input, bench: &mut Bench<'_>) -> anyhow::Result<()> {
     let color = &input.frames[0].color;
     let (width, height) = (color.width(), color.height());
     let settings = FrequencySettings { clahe: true };
@@ -135,11 +128,7 @@ fn pair_errors(input: &Input, console: Console) -> anyhow::Result<()> {
     Ok(())
 }
 
-fn registration(
-    input: &Input,
-    map_frames: usize,
-    bench: &mut impl FnMut(Stage<'_>) -> anyhow::Result<()>,
-) -> anyhow::Result<()> {
+fn registration(input: &Input, map_frames: usize, bench: &mut Bench<'_>) -> anyhow::Result<()> {
     let last = (input.frames.len() - 1).min(MAP_FRAMES);
     let map = target(input, last.saturating_sub(map_frames)..last);
     let frame = &input.frames[last];
@@ -147,10 +136,6 @@ fn registration(
     let grid = grid();
     let source = points(&grid, &frame.depth_m, &frame.camera);
     let alignment = align(&source, &map, start, &Settings::default())?;
-    let register = move || {
-        let source = points(&grid, &frame.depth_m, &frame.camera);
-        black_box(align(&source, &map, start, &Settings::default())).is_ok()
-    };
     let (source_len, iterations) = (source.len() as f64, alignment.iterations as f64);
     bench(Stage {
         name: if map_frames == 1 {
@@ -175,7 +160,8 @@ fn registration(
             Ok(())
         }),
         run: Box::new(move || {
-            black_box(register());
+            let source = points(&grid, &frame.depth_m, &frame.camera);
+            black_box(align(&source, &map, start, &Settings::default()).is_ok());
         }),
     })
 }

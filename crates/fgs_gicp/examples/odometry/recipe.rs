@@ -1,6 +1,7 @@
 //! What the odometry may be told: `key=value` words.
 
 use std::collections::HashMap;
+use std::path::PathBuf;
 use std::str::FromStr;
 
 use anyhow::{Context, Result, anyhow, bail};
@@ -9,6 +10,7 @@ use fgs_gicp::{DepthGrid, Kernel, Settings};
 /// The variant to try.
 #[derive(Debug)]
 pub struct Recipe {
+    pub camera: Option<PathBuf>,
     pub frames: usize,
     pub grid: DepthGrid,
     pub settings: Settings,
@@ -46,6 +48,7 @@ impl Recipe {
                 .with_context(|| format!("{option}: no ="))?;
             values.insert(key, value);
         }
+        let camera = values.remove("camera").map(PathBuf::from);
         let mut get = |key: &str, default: f64| match values.remove(key) {
             Some(value) => f64::from_str(value).map_err(|e| anyhow!("{key}: {e}")),
             None => Ok(default),
@@ -63,6 +66,7 @@ impl Recipe {
         };
         let scale_m = get("scale", 0.005)?;
         let recipe = Self {
+            camera,
             frames: get("frames", 1e9)? as usize,
             grid,
             fitted: get("fitted", 1.0)? > 0.0,
