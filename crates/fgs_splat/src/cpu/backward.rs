@@ -4,34 +4,34 @@
 
 use std::hint::black_box;
 
-use pulp::NullaryFnOnce;
-
-use super::bounds::{BLOCKS, LANES, TileGrid};
+use super::bounds::{BLOCKS, TileGrid};
 use super::forward::TileState;
+use super::kernel::{Kernel, mul_add};
+use super::lanes::{LANES, Lanes};
 use super::project::{ScreenCamera, Splat};
-use super::project_vjp::{PixelSums, SUMS, sum};
+use super::project_vjp::{PixelSums, sum};
 use super::real::Real;
-use super::sample::{Lanes, Sample, TilePixels};
-use super::tiles::{BATCH, Entry, load_splats};
+use super::sample::{Sample, TilePixels};
+use super::tiles::{BATCH, Batch, Entry};
 use crate::rendering::{ALPHA_MAX, ALPHA_MIN};
 
-/// Differentiates one tile. Run it through [`pulp::Arch::dispatch`].
+/// Differentiates one tile. Run it through [`super::kernel::dispatch`].
 pub(super) struct BlendTileVjp<'a, T: Real> {
     pub tile: usize,
     pub grid: &'a TileGrid,
     pub camera: &'a ScreenCamera<T>,
     /// The tile's list.
     pub entries: &'a [Entry],
+    pub order: &'a [T::SortKey],
+    pub first_slot: usize,
     /// Of all gaussians.
     pub splats: &'a [Splat<T>],
     pub state: &'a TileState<T>,
-    /// Per entry.
-    pub contributed: &'a [bool],
     /// The rows of the images in which the tile lies.
     pub d_color: &'a [[T; 3]],
     pub d_depth_m: &'a [T],
     pub d_alpha: &'a [T],
-    /// Written for each entry.
+    /// Written for each entry of the list.
     pub sums: &'a mut [PixelSums<T>],
 }
 
@@ -53,15 +53,21 @@ struct Block<T> {
 }
 
 /// Lane sums of one entry.
-type LaneSums<T> = [Lanes<T>; SUMS];
+type LaneSums<T> = [Lanes<T>; sum::OF_PIXELS];
 
-impl<T: Real> NullaryFnOnce for BlendTileVjp<'_, T> {
-    type Output = ();
-
+impl<T: Real> Kernel for BlendTileVjp<'_, T> {
     #[inline(always)]
-    fn call(self) {
+    fn run<const FUSED: bool>(self) {
+        let last = self.order.len().saturating_sub(1) / BATCH * BATCH;
+        Batch::prefetch(
+            &self.order[last..],
+            self.entries,
+            self.first_slot,
+            self.splats,
+        );
         let pixels = TilePixels::new(self.tile, self.grid, self.camera);
         let zero = [T::ZERO; LANES];
+        let mut any_depth = false;
         let mut blocks: [Block<T>; BLOCKS] = std::array::from_fn(|block| Block {
             d_red: zero,
             d_green: zero,
@@ -79,57 +85,87 @@ impl<T: Real> NullaryFnOnce for BlendTileVjp<'_, T> {
             let block = &mut blocks[block];
             [block.d_red[lane], block.d_green[lane], block.d_blue[lane]] = self.d_color[pixel];
             block.d_depth[lane] = self.d_depth_m[pixel];
+            any_depth |= self.d_depth_m[pixel] != T::ZERO;
             block.d_alpha[lane] = self.d_alpha[pixel];
         });
 
-        let mut batch = [Splat::default(); BATCH];
-        for (index, entries) in self.entries.chunks(BATCH).enumerate().rev() {
-            load_splats(entries, self.splats, &mut batch);
-            for (offset, (entry, splat)) in entries.iter().zip(&batch).enumerate().rev() {
-                let position = index * BATCH + offset;
-                if !self.contributed[position] {
-                    self.sums[position] = PixelSums::default();
+        if any_depth {
+            self.walk::<FUSED, true>(&pixels, &mut blocks);
+        } else {
+            self.walk::<FUSED, false>(&pixels, &mut blocks);
+        }
+    }
+}
+
+impl<T: Real> BlendTileVjp<'_, T> {
+    /// Walks over the list and writes its sums. Without `DEPTH` nothing depends on the depth: its
+    /// sums stay 0.
+    #[inline(always)]
+    fn walk<const FUSED: bool, const DEPTH: bool>(
+        self,
+        pixels: &TilePixels<T>,
+        blocks: &mut [Block<T>; BLOCKS],
+    ) {
+        let used_sums = if DEPTH { sum::OF_PIXELS } else { sum::OF_DEPTH };
+        let mut batch = Batch::new();
+        let mut quarters = [[[T::ZERO; 4]; sum::OF_PIXELS]; BATCH];
+        for (index, order) in self.order.chunks(BATCH).enumerate().rev() {
+            batch.load(order, self.entries, self.first_slot, self.splats);
+            let next = &self.order[(index * BATCH).saturating_sub(BATCH)..index * BATCH];
+            Batch::prefetch(next, self.entries, self.first_slot, self.splats);
+            for i in (0..order.len()).rev() {
+                let entry = &batch.entries[i];
+                if !entry.contributed {
                     continue;
                 }
-                let mut lane_sums = [zero; SUMS];
+                let position = (index * BATCH + i) as u32;
+                let mut lane_sums = [[T::ZERO; LANES]; sum::OF_PIXELS];
                 let mut touched = entry.blocks;
                 while touched != 0 {
                     let block = touched.trailing_zeros() as usize % BLOCKS;
                     touched &= touched - 1;
-                    if (position as u32) < blocks[block].most_entries_used {
-                        blend_block_vjp(
-                            splat,
-                            &pixels,
+                    if position < blocks[block].most_entries_used {
+                        blend_block_vjp::<FUSED, DEPTH, T>(
+                            &batch.splats[i],
+                            pixels,
                             block,
-                            position as u32,
+                            position,
                             &mut blocks[block],
                             &mut lane_sums,
                         );
                     }
                 }
-                self.sums[position] = add_lanes(&lane_sums);
+                for (quarters, lanes) in quarters[i].iter_mut().zip(&lane_sums).take(used_sums) {
+                    *quarters = add_quarters(lanes);
+                    // Keeps the sums apart: worked on together they become gathers of single
+                    // lanes, which are several times slower.
+                    black_box(quarters);
+                }
+            }
+            for i in 0..order.len() {
+                let sums = &mut self.sums[batch.places[i]];
+                *sums = PixelSums::default();
+                if batch.entries[i].contributed {
+                    sums.0[sum::TILES] = T::ONE;
+                    for (sum, [a, b, c, d]) in sums.0.iter_mut().zip(quarters[i]) {
+                        *sum = (a + b) + (c + d);
+                    }
+                }
             }
         }
     }
 }
 
-/// The sum over all lanes of each quantity; the last two stay 0.
+/// Sums of every fourth lane. The last step to a single sum is left for later, when these are no
+/// longer on their way to memory: reading them back at once would wait for that.
 #[inline(always)]
-fn add_lanes<T: Real>(sums: &LaneSums<T>) -> PixelSums<T> {
-    // The black boxes keep the steps apart: seen as one, they become gathers of single lanes,
-    // which are several times slower.
-    let mut quarters = [[T::ZERO; 4]; 16];
-    for (lanes, quarter) in sums.iter().zip(&mut quarters) {
-        *quarter = black_box(std::array::from_fn(|i| {
-            (lanes[i] + lanes[i + 4]) + (lanes[i + 8] + lanes[i + 12])
-        }));
-    }
-    PixelSums(black_box(quarters).map(|[a, b, c, d]| (a + b) + (c + d)))
+fn add_quarters<T: Real>(lanes: &Lanes<T>) -> [T; 4] {
+    std::array::from_fn(|i| (lanes[i] + lanes[i + 4]) + (lanes[i + 8] + lanes[i + 12]))
 }
 
 /// Walks over a splat, entry number `position` from 0, at the pixels of a block.
 #[inline(always)]
-fn blend_block_vjp<T: Real>(
+fn blend_block_vjp<const FUSED: bool, const DEPTH: bool, T: Real>(
     splat: &Splat<T>,
     pixels: &TilePixels<T>,
     block: usize,
@@ -147,30 +183,50 @@ fn blend_block_vjp<T: Real>(
     for lane in 0..LANES {
         let dx = x + pixels.lane_x[lane];
         let dy = y + pixels.lane_y[lane];
-        let sample = Sample::new(&splat, dx, dy, min_n_ray[lane]);
+        let sample = Sample::new::<FUSED>(&splat, dx, dy, min_n_ray[lane]);
         let took = (sample.alpha >= alpha_min) & (position < pixel.entries_used[lane]);
         let alpha = if took {
             sample.alpha.min(alpha_max)
         } else {
             T::ZERO
         };
-        let inverse_rest = T::ONE / (T::ONE - alpha);
+        let rest = T::ONE - alpha;
+        let (inverse_rest, inverse_n_ray) = if DEPTH {
+            // Two inverses by one division, the slowest operation here.
+            let inverse = T::ONE / (rest * sample.n_ray);
+            (inverse * sample.n_ray, inverse * rest)
+        } else {
+            (T::ONE / rest, T::ZERO)
+        };
         let before = pixel.transmittance[lane] * inverse_rest;
         let weight = before * alpha;
         // The loss's derivative by this entry's weight, all else equal.
-        let value = pixel.d_red[lane] * splat.color[0]
-            + pixel.d_green[lane] * splat.color[1]
-            + pixel.d_blue[lane] * splat.color[2]
-            + pixel.d_depth[lane] * sample.depth
-            + pixel.d_alpha[lane];
+        let value = mul_add::<FUSED, T>(pixel.d_red[lane], splat.color[0], pixel.d_alpha[lane]);
+        let value = mul_add::<FUSED, T>(pixel.d_green[lane], splat.color[1], value);
+        let value = mul_add::<FUSED, T>(pixel.d_blue[lane], splat.color[2], value);
+        let value = if DEPTH {
+            let plane_depth = splat.plane_offset * inverse_n_ray;
+            let depth = if sample.on_plane {
+                plane_depth
+            } else {
+                splat.center_depth
+            };
+            mul_add::<FUSED, T>(pixel.d_depth[lane], depth, value)
+        } else {
+            value
+        };
         // d weight / d alpha = before; each weight behind scales with 1 - alpha.
-        let d_sample_alpha = before * value - pixel.behind[lane] * inverse_rest;
+        let behind = pixel.behind[lane];
+        let d_sample_alpha = mul_add::<FUSED, T>(before, value, -(behind * inverse_rest));
         pixel.transmittance[lane] = before;
-        pixel.behind[lane] += weight * value;
+        pixel.behind[lane] = mul_add::<FUSED, T>(weight, value, behind);
 
-        sums[sum::COLOR][lane] += weight * pixel.d_red[lane];
-        sums[sum::COLOR + 1][lane] += weight * pixel.d_green[lane];
-        sums[sum::COLOR + 2][lane] += weight * pixel.d_blue[lane];
+        let mut add = |sum: usize, a: T, b: T| {
+            sums[sum][lane] = mul_add::<FUSED, T>(a, b, sums[sum][lane]);
+        };
+        add(sum::COLOR, weight, pixel.d_red[lane]);
+        add(sum::COLOR + 1, weight, pixel.d_green[lane]);
+        add(sum::COLOR + 2, weight, pixel.d_blue[lane]);
 
         let free = took & (sample.alpha <= alpha_max);
         let g = if free {
@@ -179,25 +235,28 @@ fn blend_block_vjp<T: Real>(
             T::ZERO
         };
         let (gp, gq) = (g * sample.p, g * sample.q);
+        add(sum::GPP, gp, sample.p);
+        add(sum::GPQ, gp, sample.q);
+        add(sum::GQQ, gq, sample.q);
+
         sums[sum::G][lane] += g;
         sums[sum::GP][lane] += gp;
         sums[sum::GQ][lane] += gq;
-        sums[sum::GPP][lane] += gp * sample.p;
-        sums[sum::GPQ][lane] += gp * sample.q;
-        sums[sum::GQQ][lane] += gq * sample.q;
 
-        let h = weight * pixel.d_depth[lane];
-        let (h_plane, h_center) = if sample.on_plane {
-            (h, T::ZERO)
-        } else {
-            (T::ZERO, h)
-        };
-        let ht = h_plane * sample.inverse_n_ray;
-        let htt = ht * sample.inverse_n_ray;
-        sums[sum::CENTER][lane] += h_center;
-        sums[sum::HT][lane] += ht;
-        sums[sum::HTT][lane] += htt;
-        sums[sum::HTT_DX][lane] += htt * sample.dx;
-        sums[sum::HTT_DY][lane] += htt * sample.dy;
+        if DEPTH {
+            let h = weight * pixel.d_depth[lane];
+            let (h_plane, h_center) = if sample.on_plane {
+                (h, T::ZERO)
+            } else {
+                (T::ZERO, h)
+            };
+            let ht = h_plane * inverse_n_ray;
+            let htt = ht * inverse_n_ray;
+            sums[sum::HTT_DX][lane] = mul_add::<FUSED, T>(htt, sample.dx, sums[sum::HTT_DX][lane]);
+            sums[sum::HTT_DY][lane] = mul_add::<FUSED, T>(htt, sample.dy, sums[sum::HTT_DY][lane]);
+            sums[sum::CENTER][lane] += h_center;
+            sums[sum::HT][lane] += ht;
+            sums[sum::HTT][lane] += htt;
+        }
     }
 }

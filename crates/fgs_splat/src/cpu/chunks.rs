@@ -1,77 +1,118 @@
 //! The two stages that go over gaussians, each cut into chunks of a fixed size: projection, and
 //! the way back from the sums over pixels to the parameters.
 
-use pulp::NullaryFnOnce;
-
 use super::bounds::{TileGrid, Touch, push_touches};
-use super::project::{Projection, ScreenCamera, Splat};
-use super::project_vjp::{PixelSums, project_vjp};
+use super::cull::Frustum;
+use super::kernel::Kernel;
+use super::lanes::{LANES, Lanes, column, set_column};
+use super::prefetch::prefetch;
+use super::project::{PARAMETERS, Parameters, Projection, SPLAT, ScreenCamera, Splat};
+use super::project_vjp::{PixelSums, SUMS, project_vjp, sum};
 use super::real::Real;
-use super::tiles::{BATCH, TileLists, Visible};
 use crate::Gaussians;
 
 /// Gaussians of a chunk: large enough that starting a task costs nothing, small enough to spread.
 pub(super) const CHUNK: usize = 2048;
 
+/// Touches whose sums are asked for ahead: about as many as the cache nearest by has room for.
+const PREFETCH: usize = 64;
+
+/// A gaussian with at least one touch.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Visible {
+    pub gaussian: u32,
+    /// The gaussian's touches end here in the chunk's; they start where the one before ends.
+    pub touches_end: u32,
+}
+
 /// What is found among the gaussians of a chunk.
 #[derive(Debug, Default)]
 pub(super) struct Chunk {
-    /// Their `touches_end` counts from the chunk's first touch.
+    in_view: Vec<u32>,
+    /// Ascending by gaussian, as the chunk's splats.
     pub visible: Vec<Visible>,
     pub touches: Vec<Touch>,
-    /// Where the chunk's touches start among all.
-    pub first_touch: usize,
+    /// For each touch the slot of its entry in the tiles' lists.
+    pub slots: Vec<u32>,
     /// Gaussians that got a gradient.
     pub touched: Vec<u32>,
 }
 
-/// Projects the gaussians of a chunk. Run it through [`pulp::Arch::dispatch`].
+/// Projects the gaussians of a chunk. Run it through [`super::kernel::dispatch`].
 pub(super) struct ProjectChunk<'a, T: Real> {
     pub gaussians: &'a Gaussians<T>,
     /// Index of the chunk's first gaussian.
     pub first: usize,
     pub camera: &'a ScreenCamera<T>,
+    pub frustum: &'a Frustum<T>,
     pub grid: &'a TileGrid,
+    /// As many as the chunk has gaussians; those of visible ones come first.
     pub splats: &'a mut [Splat<T>],
     pub chunk: &'a mut Chunk,
 }
 
-impl<T: Real> NullaryFnOnce for ProjectChunk<'_, T> {
-    type Output = ();
-
+impl<T: Real> Kernel for ProjectChunk<'_, T> {
     #[inline(always)]
-    fn call(self) {
+    fn run<const FUSED: bool>(self) {
         let Chunk {
-            visible, touches, ..
+            in_view,
+            visible,
+            touches,
+            ..
         } = self.chunk;
+        in_view.clear();
         visible.clear();
         touches.clear();
-        for (index, splat) in (self.first..).zip(self.splats) {
-            let Some(projection) = Projection::new(self.gaussians, index, self.camera) else {
-                continue;
-            };
-            *splat = projection.splat(self.camera);
-            let before = touches.len();
-            push_touches(splat, self.grid, touches);
-            if touches.len() > before {
-                visible.push(Visible {
-                    depth_key: splat.center_depth.sort_key(),
-                    gaussian: index as u32,
-                    touches_end: touches.len() as u32,
-                });
+        let end = self.first + self.splats.len();
+        self.frustum
+            .push_in_view::<FUSED>(self.camera, self.gaussians, self.first, end, in_view);
+        for indices in in_view.chunks(LANES) {
+            let parameters = load_parameters(self.gaussians, indices);
+            let mut splats = [[T::ZERO; LANES]; SPLAT];
+            let mut drawn = [false; LANES];
+            for lane in 0..LANES {
+                let parameters = Parameters::from_array(column(&parameters, lane));
+                let projection = Projection::new::<FUSED>(&parameters, self.camera);
+                let splat = projection.splat::<FUSED>(self.camera);
+                set_column(&mut splats, lane, splat.to_array());
+                drawn[lane] = projection.drawn;
+            }
+            for (lane, &gaussian) in indices.iter().enumerate() {
+                if !drawn[lane] {
+                    continue;
+                }
+                let splat = Splat::from_array(column(&splats, lane));
+                let before = touches.len();
+                push_touches(&splat, self.grid, touches);
+                if touches.len() > before {
+                    self.splats[visible.len()] = splat;
+                    visible.push(Visible {
+                        gaussian,
+                        touches_end: touches.len() as u32,
+                    });
+                }
             }
         }
     }
 }
 
+/// The parameters of up to 16 gaussians, side by side.
+#[inline(always)]
+fn load_parameters<T: Real>(gaussians: &Gaussians<T>, indices: &[u32]) -> [Lanes<T>; PARAMETERS] {
+    let mut lanes = [[T::ZERO; LANES]; PARAMETERS];
+    for (lane, &index) in indices.iter().enumerate().take(LANES) {
+        let parameters = Parameters::of(gaussians, index as usize);
+        set_column(&mut lanes, lane, parameters.to_array());
+    }
+    lanes
+}
+
 /// Adds up the sums of each gaussian of a chunk and carries them to its parameters. Run it
-/// through [`pulp::Arch::dispatch`].
+/// through [`super::kernel::dispatch`].
 pub(super) struct ProjectChunkVjp<'a, T: Real> {
     pub gaussians: &'a Gaussians<T>,
     pub camera: &'a ScreenCamera<T>,
-    pub lists: &'a TileLists,
-    /// Per entry of the lists.
-    pub contributed: &'a [bool],
+    /// Per slot of the tiles' lists.
     pub sums: &'a [PixelSums<T>],
     pub chunk: &'a mut Chunk,
     /// Of the chunk's gaussians.
@@ -82,42 +123,59 @@ pub(super) struct ProjectChunkVjp<'a, T: Real> {
     pub d_sh: &'a mut [[T; 3]],
 }
 
-impl<T: Real> NullaryFnOnce for ProjectChunkVjp<'_, T> {
-    type Output = ();
-
+impl<T: Real> Kernel for ProjectChunkVjp<'_, T> {
     #[inline(always)]
-    fn call(self) {
-        let chunk = self.chunk;
-        chunk.touched.clear();
-        let mut start = chunk.first_touch;
-        let mut totals = [PixelSums::default(); BATCH];
-        let mut hits = [false; BATCH];
-        for batch in chunk.visible.chunks(BATCH) {
-            for ((visible, total), hit) in batch.iter().zip(&mut totals).zip(&mut hits) {
-                let end = chunk.first_touch + visible.touches_end as usize;
-                *total = PixelSums::default();
-                *hit = false;
-                for &entry in &self.lists.entry_from_touch[start..end] {
-                    // No branch: its outcome would wait for memory.
-                    *hit |= self.contributed[entry as usize];
-                    total.add(&self.sums[entry as usize]);
+    fn run<const FUSED: bool>(self) {
+        let Chunk {
+            visible,
+            slots,
+            touched,
+            ..
+        } = self.chunk;
+        touched.clear();
+        let mut start = 0;
+        let mut prefetched = 0;
+        for batch in visible.chunks(LANES) {
+            let indices: Lanes<u32> =
+                std::array::from_fn(|lane| batch.get(lane).map_or(0, |visible| visible.gaussian));
+            let indices = &indices[..batch.len()];
+            let parameters = load_parameters(self.gaussians, indices);
+            let end = batch.last().map_or(start, |last| last.touches_end as usize);
+            let ahead = (end + PREFETCH).min(slots.len());
+            for &slot in &slots[prefetched..ahead] {
+                prefetch(&self.sums[slot as usize]);
+            }
+            prefetched = ahead;
+            let mut sums = [[T::ZERO; LANES]; SUMS];
+            for (lane, visible) in batch.iter().enumerate() {
+                let end = visible.touches_end as usize;
+                let mut total = PixelSums::default();
+                for &slot in &slots[start..end] {
+                    total.add(&self.sums[slot as usize]);
                 }
                 start = end;
+                set_column(&mut sums, lane, total.0);
             }
-            for ((visible, total), hit) in batch.iter().zip(&totals).zip(&hits) {
-                let index = visible.gaussian as usize;
-                let projection = Projection::new(self.gaussians, index, self.camera);
-                let (true, Some(projection)) = (*hit, projection) else {
+            let mut gradients = [[T::ZERO; LANES]; PARAMETERS];
+            for lane in 0..LANES {
+                let parameters = Parameters::from_array(column(&parameters, lane));
+                let projection = Projection::new::<FUSED>(&parameters, self.camera);
+                let gradient =
+                    project_vjp::<FUSED, T>(&projection, self.camera, &column(&sums, lane));
+                set_column(&mut gradients, lane, gradient.to_array());
+            }
+            for (lane, &index) in indices.iter().enumerate() {
+                if sums[sum::TILES][lane] == T::ZERO {
                     continue;
-                };
-                let gradient = project_vjp(&projection, self.camera, total);
-                let local = index % CHUNK;
-                self.d_means[local] = gradient.d_mean;
-                self.d_quats[local] = gradient.d_quat;
-                self.d_log_scales[local] = gradient.d_log_scale;
-                self.d_opacity_logits[local] = gradient.d_opacity_logit;
-                self.d_sh[local] = gradient.d_sh;
-                chunk.touched.push(visible.gaussian);
+                }
+                let gradient = Parameters::from_array(column(&gradients, lane));
+                let local = index as usize % CHUNK;
+                self.d_means[local] = gradient.mean;
+                self.d_quats[local] = gradient.quat;
+                self.d_log_scales[local] = gradient.log_scales;
+                self.d_opacity_logits[local] = gradient.opacity_logit;
+                self.d_sh[local] = gradient.sh;
+                touched.push(index);
             }
         }
     }

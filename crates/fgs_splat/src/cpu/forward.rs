@@ -2,13 +2,13 @@
 //! 16 lanes. A block whose pixels are all saturated takes no further gaussian, and a tile of such
 //! blocks ends its list.
 
-use pulp::NullaryFnOnce;
-
-use super::bounds::{BLOCKS, LANES, TileGrid};
+use super::bounds::{BLOCKS, TileGrid};
+use super::kernel::{Kernel, mul_add};
+use super::lanes::{LANES, Lanes};
 use super::project::{ScreenCamera, Splat};
 use super::real::Real;
-use super::sample::{Lanes, Sample, TilePixels};
-use super::tiles::{BATCH, Entry, load_splats};
+use super::sample::{Sample, TilePixels};
+use super::tiles::{BATCH, Batch, Entry};
 use crate::rendering::{ALPHA_MAX, ALPHA_MIN, TRANSMITTANCE_MIN};
 
 /// What the backward pass needs to know of a tile's pixels.
@@ -30,18 +30,18 @@ impl<T: Real> Default for TileState<T> {
     }
 }
 
-/// Blends one tile. Run it through [`pulp::Arch::dispatch`].
+/// Blends one tile. Run it through [`super::kernel::dispatch`].
 pub(super) struct BlendTile<'a, T: Real> {
     pub tile: usize,
     pub grid: &'a TileGrid,
     pub camera: &'a ScreenCamera<T>,
-    /// The tile's list.
-    pub entries: &'a [Entry],
+    /// The tile's list; tells afterwards which entries contributed.
+    pub entries: &'a mut [Entry],
+    pub order: &'a [T::SortKey],
+    pub first_slot: usize,
     /// Of all gaussians.
     pub splats: &'a [Splat<T>],
     pub state: &'a mut TileState<T>,
-    /// Per entry.
-    pub contributed: &'a mut [bool],
     /// The rows of the images in which the tile lies.
     pub color: &'a mut [[T; 3]],
     pub depth_m: &'a mut [T],
@@ -57,12 +57,11 @@ struct BlockImage<T> {
     depth: Lanes<T>,
 }
 
-impl<T: Real> NullaryFnOnce for BlendTile<'_, T> {
-    type Output = ();
-
+impl<T: Real> Kernel for BlendTile<'_, T> {
     #[inline(always)]
-    fn call(self) {
+    fn run<const FUSED: bool>(self) {
         let grid = self.grid;
+        Batch::prefetch(self.order, self.entries, self.first_slot, self.splats);
         let pixels = TilePixels::new(self.tile, grid, self.camera);
         let mut state = TileState::default();
         pixels.for_each_pixel(grid, |block, lane, _| {
@@ -76,22 +75,23 @@ impl<T: Real> NullaryFnOnce for BlendTile<'_, T> {
             depth: zero,
         }; BLOCKS];
 
-        self.contributed.fill(false);
         let mut open_blocks = u16::MAX;
-        let mut batch = [Splat::default(); BATCH];
-        'list: for (start, entries) in (0..).step_by(BATCH).zip(self.entries.chunks(BATCH)) {
-            load_splats(entries, self.splats, &mut batch);
-            for ((position, entry), splat) in (start..).zip(entries).zip(&batch) {
-                let mut blocks = entry.blocks & open_blocks;
+        let mut batch = Batch::new();
+        'list: for (start, order) in (0..).step_by(BATCH).zip(self.order.chunks(BATCH)) {
+            batch.load(order, self.entries, self.first_slot, self.splats);
+            let next = &self.order[start + order.len()..];
+            Batch::prefetch(next, self.entries, self.first_slot, self.splats);
+            for i in 0..order.len() {
+                let mut blocks = batch.entries[i].blocks & open_blocks;
                 let mut hit = false;
                 while blocks != 0 {
                     let block = blocks.trailing_zeros() as usize % BLOCKS;
                     blocks &= blocks - 1;
-                    let outcome = blend_block(
-                        splat,
+                    let outcome = blend_block::<FUSED, T>(
+                        &batch.splats[i],
                         &pixels,
                         block,
-                        position as u32 + 1,
+                        (start + i) as u32 + 1,
                         &mut state,
                         &mut images[block],
                     );
@@ -100,7 +100,7 @@ impl<T: Real> NullaryFnOnce for BlendTile<'_, T> {
                         open_blocks &= !(1 << block);
                     }
                 }
-                self.contributed[position] = hit;
+                self.entries[batch.places[i]].contributed = hit;
                 if open_blocks == 0 {
                     break 'list;
                 }
@@ -124,7 +124,7 @@ const OPEN: u32 = 2;
 
 /// Blends a splat, entry number `entries` from 1, over a block.
 #[inline(always)]
-fn blend_block<T: Real>(
+fn blend_block<const FUSED: bool, T: Real>(
     splat: &Splat<T>,
     pixels: &TilePixels<T>,
     block: usize,
@@ -147,7 +147,12 @@ fn blend_block<T: Real>(
     for lane in 0..LANES {
         let dx = x + pixels.lane_x[lane];
         let dy = y + pixels.lane_y[lane];
-        let sample = Sample::new(&splat, dx, dy, min_n_ray[lane]);
+        let sample = Sample::new::<FUSED>(&splat, dx, dy, min_n_ray[lane]);
+        let depth = if sample.on_plane {
+            splat.plane_offset / sample.n_ray
+        } else {
+            splat.center_depth
+        };
         let before = transmittance[lane];
         let takes = (sample.alpha >= alpha_min) & (before >= transmittance_min);
         let alpha = if takes {
@@ -156,10 +161,10 @@ fn blend_block<T: Real>(
             T::ZERO
         };
         let weight = before * alpha;
-        image.red[lane] += weight * splat.color[0];
-        image.green[lane] += weight * splat.color[1];
-        image.blue[lane] += weight * splat.color[2];
-        image.depth[lane] += weight * sample.depth;
+        image.red[lane] = mul_add::<FUSED, T>(weight, splat.color[0], image.red[lane]);
+        image.green[lane] = mul_add::<FUSED, T>(weight, splat.color[1], image.green[lane]);
+        image.blue[lane] = mul_add::<FUSED, T>(weight, splat.color[2], image.blue[lane]);
+        image.depth[lane] = mul_add::<FUSED, T>(weight, depth, image.depth[lane]);
         let after = before * (T::ONE - alpha);
         transmittance[lane] = after;
         taken[lane] = u32::from(takes);

@@ -9,7 +9,11 @@
 mod backward;
 mod bounds;
 mod chunks;
+mod cull;
 mod forward;
+mod kernel;
+mod lanes;
+mod prefetch;
 mod project;
 mod project_vjp;
 mod real;
@@ -18,17 +22,18 @@ mod sample;
 mod tiles;
 
 use fgs_geom::{Image, View};
-use pulp::Arch;
 use rayon::prelude::*;
 
-use bounds::{TILE, TileGrid, Touch};
+use bounds::{TILE, TileGrid};
 use chunks::{CHUNK, Chunk, ProjectChunk};
+use cull::Frustum;
 use forward::{BlendTile, TileState};
+use kernel::dispatch;
 use project::{ScreenCamera, Splat};
 use project_vjp::PixelSums;
 pub use real::Real;
 pub use render_pass::RenderPass;
-use tiles::{TileLists, Visible};
+use tiles::{TileLists, split_by_tile_row, take_front};
 
 use crate::{Gaussians, Rendered};
 
@@ -36,16 +41,13 @@ use crate::{Gaussians, Rendered};
 /// nothing.
 #[derive(Debug)]
 pub struct Rasterizer<T: Real = f32> {
-    /// Per gaussian; stale where it is not visible.
+    /// As many as gaussians: those of each chunk's visible ones first, the rest stale.
     splats: Vec<Splat<T>>,
     chunks: Vec<Chunk>,
-    visible: Vec<Visible>,
-    touches: Vec<Touch>,
-    lists: TileLists,
+    lists: TileLists<T>,
     /// Per tile.
     states: Vec<TileState<T>>,
-    /// Per entry of the tiles' lists.
-    contributed: Vec<bool>,
+    /// Per slot of the tiles' lists.
     sums: Vec<PixelSums<T>>,
     rendered: Rendered<T>,
 }
@@ -55,11 +57,8 @@ impl<T: Real> Default for Rasterizer<T> {
         Self {
             splats: Vec::new(),
             chunks: Vec::new(),
-            visible: Vec::new(),
-            touches: Vec::new(),
             lists: TileLists::default(),
             states: Vec::new(),
-            contributed: Vec::new(),
             sums: Vec::new(),
             rendered: empty_images(0, 0),
         }
@@ -84,7 +83,7 @@ impl<T: Real> Rasterizer<T> {
         let camera = ScreenCamera::new(view);
         let grid = TileGrid::new(camera.width, camera.height);
         self.project(gaussians, &camera, &grid);
-        self.lists.fill::<T>(&grid, &self.visible, &self.touches);
+        self.lists.deal(&grid, &mut self.chunks, &self.splats);
         self.blend(&camera, &grid);
         RenderPass {
             scratch: self,
@@ -94,9 +93,9 @@ impl<T: Real> Rasterizer<T> {
         }
     }
 
-    /// Fills `splats`, `visible` and `touches`.
+    /// Fills `splats` and `chunks`.
     fn project(&mut self, gaussians: &Gaussians<T>, camera: &ScreenCamera<T>, grid: &TileGrid) {
-        let arch = Arch::new();
+        let frustum = &Frustum::new(camera);
         self.splats.resize_with(gaussians.len(), Splat::default);
         let tasks = gaussians.len().div_ceil(CHUNK);
         self.chunks.resize_with(tasks, Chunk::default);
@@ -105,37 +104,30 @@ impl<T: Real> Rasterizer<T> {
             .zip(&mut self.chunks)
             .enumerate()
             .for_each(|(task, (splats, chunk))| {
-                arch.dispatch(ProjectChunk {
+                dispatch(ProjectChunk {
                     gaussians,
                     first: task * CHUNK,
                     camera,
+                    frustum,
                     grid,
                     splats,
                     chunk,
                 });
             });
-        self.visible.clear();
-        self.touches.clear();
-        for chunk in &mut self.chunks {
-            chunk.first_touch = self.touches.len();
-            let first_touch = chunk.first_touch as u32;
-            self.visible
-                .extend(chunk.visible.iter().map(|&visible| Visible {
-                    touches_end: visible.touches_end + first_touch,
-                    ..visible
-                }));
-            self.touches.extend_from_slice(&chunk.touches);
-        }
     }
 
-    /// Fills `rendered`, `states` and `contributed`.
+    /// Fills `rendered` and `states`, and completes the tiles' lists.
     fn blend(&mut self, camera: &ScreenCamera<T>, grid: &TileGrid) {
-        let arch = Arch::new();
         let Self {
             splats,
-            lists,
+            lists:
+                TileLists {
+                    starts,
+                    entries,
+                    order,
+                    ..
+                },
             states,
-            contributed,
             rendered,
             ..
         } = self;
@@ -143,56 +135,41 @@ impl<T: Real> Rasterizer<T> {
             *rendered = empty_images(grid.width, grid.height);
         }
         states.resize_with(grid.len(), TileState::default);
-        contributed.resize(lists.entries.len(), false);
         let row_pixels = TILE * grid.width.max(1);
         (
             rendered.color.data_mut().par_chunks_mut(row_pixels),
             rendered.depth_m.data_mut().par_chunks_mut(row_pixels),
             rendered.alpha.data_mut().par_chunks_mut(row_pixels),
             states.par_chunks_mut(grid.columns.max(1)),
-            split_by_tile_row(contributed, lists, grid),
+            split_by_tile_row(entries, starts, grid),
+            split_by_tile_row(order, starts, grid),
         )
             .into_par_iter()
             .enumerate()
-            .for_each(|(row, (color, depth_m, alpha, states, mut contributed))| {
-                for (column, state) in states.iter_mut().enumerate() {
-                    let tile = row * grid.columns + column;
-                    let entries = lists.of_tile(tile);
-                    let (tile_contributed, rest) =
-                        std::mem::take(&mut contributed).split_at_mut(entries.len());
-                    contributed = rest;
-                    arch.dispatch(BlendTile {
-                        tile,
-                        grid,
-                        camera,
-                        entries,
-                        splats,
-                        state,
-                        contributed: tile_contributed,
-                        color: &mut *color,
-                        depth_m: &mut *depth_m,
-                        alpha: &mut *alpha,
-                    });
-                }
-            });
+            .for_each(
+                |(row, (color, depth_m, alpha, states, mut entries, mut order))| {
+                    for (column, state) in states.iter_mut().enumerate() {
+                        let tile = row * grid.columns + column;
+                        let len = starts[tile + 1] - starts[tile];
+                        let order = take_front(&mut order, len);
+                        order.sort_unstable();
+                        dispatch(BlendTile {
+                            tile,
+                            grid,
+                            camera,
+                            entries: take_front(&mut entries, len),
+                            order,
+                            first_slot: starts[tile],
+                            splats,
+                            state,
+                            color: &mut *color,
+                            depth_m: &mut *depth_m,
+                            alpha: &mut *alpha,
+                        });
+                    }
+                },
+            );
     }
-}
-
-/// One slice of `items` (one per list entry) for each row of tiles.
-fn split_by_tile_row<'a, X>(
-    mut items: &'a mut [X],
-    lists: &TileLists,
-    grid: &TileGrid,
-) -> Vec<&'a mut [X]> {
-    (0..grid.rows)
-        .map(|row| {
-            let tiles = row * grid.columns..(row + 1) * grid.columns;
-            let len = lists.starts[tiles.end] - lists.starts[tiles.start];
-            let (first, rest) = std::mem::take(&mut items).split_at_mut(len);
-            items = rest;
-            first
-        })
-        .collect()
 }
 
 #[cfg(test)]

@@ -1,11 +1,12 @@
 //! One gaussian from world axes to the screen: covariance by the local affine projection with a
 //! low-pass, in a factored form that neither loses digits nor needs a matrix inverse, and the
-//! plane of its disk for the depth.
+//! plane of its disk for the depth. Branch-free: runs over lanes of gaussians.
 //!
 //! [`Projection`] keeps what the derivative needs; [`Splat`] is what the blending reads.
 
 use fgs_geom::View;
 
+use super::kernel::mul_add;
 use super::real::Real;
 use crate::Gaussians;
 use crate::gaussians::SH0_FACTOR;
@@ -64,7 +65,79 @@ impl<T: Real> ScreenCamera<T> {
             position: std::array::from_fn(|axis| T::from_f64(position[axis])),
         }
     }
+
+    /// A point of the world in camera axes, metres.
+    #[inline(always)]
+    pub fn camera_axes<const FUSED: bool>(&self, point: &[T; 3]) -> [T; 3] {
+        let relative = std::array::from_fn(|axis| point[axis] - self.position[axis]);
+        std::array::from_fn(|row| dot::<FUSED, T>(&self.camera_from_world[row], &relative))
+    }
 }
+
+/// Number of a gaussian's parameters.
+pub(super) const PARAMETERS: usize = 14;
+
+/// The parameters of a gaussian as they are stored.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Parameters<T> {
+    pub mean: [T; 3],
+    pub quat: [T; 4],
+    pub log_scales: [T; 3],
+    pub opacity_logit: T,
+    pub sh: [T; 3],
+}
+
+impl<T: Real> Parameters<T> {
+    #[inline(always)]
+    pub fn of(gaussians: &Gaussians<T>, index: usize) -> Self {
+        Self {
+            mean: gaussians.means[index],
+            quat: gaussians.quats[index],
+            log_scales: gaussians.log_scales[index],
+            opacity_logit: gaussians.opacity_logits[index],
+            sh: gaussians.sh[index],
+        }
+    }
+
+    #[inline(always)]
+    pub fn to_array(self) -> [T; PARAMETERS] {
+        let [x, y, z] = self.mean;
+        let [qw, qx, qy, qz] = self.quat;
+        let [sx, sy, sz] = self.log_scales;
+        let [r, g, b] = self.sh;
+        [
+            x,
+            y,
+            z,
+            qw,
+            qx,
+            qy,
+            qz,
+            sx,
+            sy,
+            sz,
+            self.opacity_logit,
+            r,
+            g,
+            b,
+        ]
+    }
+
+    #[inline(always)]
+    pub fn from_array(values: [T; PARAMETERS]) -> Self {
+        let [x, y, z, qw, qx, qy, qz, sx, sy, sz, opacity_logit, r, g, b] = values;
+        Self {
+            mean: [x, y, z],
+            quat: [qw, qx, qy, qz],
+            log_scales: [sx, sy, sz],
+            opacity_logit,
+            sh: [r, g, b],
+        }
+    }
+}
+
+/// Number of values of a splat.
+pub(super) const SPLAT: usize = 14;
 
 /// A gaussian as the blending sees it. 64 bytes in `f32`: one cache line.
 ///
@@ -88,13 +161,70 @@ pub(super) struct Splat<T> {
     pub plane: [T; 3],
     /// `normal . center`, metres: depth = plane_offset / (normal . ray).
     pub plane_offset: T,
-    /// Largest `p^2 + q^2` at which alpha reaches `ALPHA_MIN`.
-    pub support: T,
+}
+
+impl<T: Real> Splat<T> {
+    #[inline(always)]
+    pub fn to_array(self) -> [T; SPLAT] {
+        let [u, v] = self.mean2d;
+        let [r, g, b] = self.color;
+        let [p0, p1, p2] = self.plane;
+        [
+            u,
+            v,
+            self.whiten_xx,
+            self.whiten_xy,
+            self.whiten_yy,
+            self.opacity,
+            r,
+            g,
+            b,
+            self.center_depth,
+            p0,
+            p1,
+            p2,
+            self.plane_offset,
+        ]
+    }
+
+    #[inline(always)]
+    pub fn from_array(values: [T; SPLAT]) -> Self {
+        let [
+            u,
+            v,
+            whiten_xx,
+            whiten_xy,
+            whiten_yy,
+            opacity,
+            r,
+            g,
+            b,
+            center_depth,
+            p0,
+            p1,
+            p2,
+            plane_offset,
+        ] = values;
+        Self {
+            mean2d: [u, v],
+            whiten_xx,
+            whiten_xy,
+            whiten_yy,
+            opacity,
+            color: [r, g, b],
+            center_depth,
+            plane: [p0, p1, p2],
+            plane_offset,
+        }
+    }
 }
 
 /// A projected gaussian with what its derivative needs.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Projection<T> {
+    /// Whether there is anything to draw: not too near, too faint or damaged (see the limits in
+    /// `rendering.rs`). Without it the other values mean nothing.
+    pub drawn: bool,
     /// Centre in camera axes, metres.
     pub center: [T; 3],
     /// x/z and y/z of the centre, and where the projection is linearised.
@@ -117,8 +247,9 @@ pub(super) struct Projection<T> {
 }
 
 #[inline(always)]
-pub(super) fn dot<T: Real>(a: &[T; 3], b: &[T; 3]) -> T {
-    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+pub(super) fn dot<const FUSED: bool, T: Real>(a: &[T; 3], b: &[T; 3]) -> T {
+    let sum = mul_add::<FUSED, T>(a[1], b[1], a[0] * b[0]);
+    mul_add::<FUSED, T>(a[2], b[2], sum)
 }
 
 /// The rotation matrix of a unit quaternion wxyz, row-major.
@@ -146,51 +277,32 @@ fn rotation_matrix<T: Real>([w, x, y, z]: [T; 4]) -> [[T; 3]; 3] {
 }
 
 impl<T: Real> Projection<T> {
-    /// Projects gaussian `index`. `None` if it is too near, too faint, or damaged (see the limits
-    /// in `rendering.rs`).
+    /// Projects a gaussian.
     #[inline(always)]
-    pub fn new(gaussians: &Gaussians<T>, index: usize, camera: &ScreenCamera<T>) -> Option<Self> {
-        let mean = gaussians.means[index];
-        let relative: [T; 3] = std::array::from_fn(|axis| mean[axis] - camera.position[axis]);
+    pub fn new<const FUSED: bool>(parameters: &Parameters<T>, camera: &ScreenCamera<T>) -> Self {
+        let Parameters {
+            mean,
+            quat,
+            log_scales,
+            opacity_logit,
+            sh,
+        } = *parameters;
         let rotation = &camera.camera_from_world;
-        let center: [T; 3] = std::array::from_fn(|row| dot(&rotation[row], &relative));
+        let center = camera.camera_axes::<FUSED>(&mean);
         let z = center[2];
-        let in_front = z >= T::from_f64(NEAR_M);
-        if !in_front {
-            return None;
-        }
-
-        let quat = gaussians.quats[index];
-        let log_scales = gaussians.log_scales[index];
-        let logit = gaussians.opacity_logits[index];
-        let sh = gaussians.sh[index];
         let max = T::from_f64(MAX_MAGNITUDE);
-        let sane = |values: &[T]| values.iter().all(|value| value.abs() <= max);
+        let sane = |values: &[T]| values.iter().fold(true, |all, x| all & (x.abs() <= max));
         let quat_norm2 =
             quat[0] * quat[0] + quat[1] * quat[1] + quat[2] * quat[2] + quat[3] * quat[3];
-        if !(sane(&mean)
-            && sane(&quat)
-            && sane(&log_scales)
-            && sane(&[logit])
-            && sane(&sh)
-            && quat_norm2 >= T::from_f64(MIN_QUAT_NORM2))
-        {
-            return None;
-        }
-        let scales = log_scales.map(T::exp);
-        let opacity = T::ONE / (T::ONE + (-logit).exp());
-        if !(sane(&scales) && opacity >= T::from_f64(ALPHA_MIN)) {
-            return None;
-        }
-
+        let scales = log_scales.map(T::exp::<FUSED>);
+        let opacity = T::ONE / (T::ONE + T::exp::<FUSED>(-opacity_logit));
         let quat_norm = quat_norm2.sqrt();
         let unit_quat = quat.map(|q| q / quat_norm);
         let world_from_gaussian = rotation_matrix(unit_quat);
         let camera_from_gaussian: [[T; 3]; 3] = std::array::from_fn(|row| {
             std::array::from_fn(|column| {
-                rotation[row][0] * world_from_gaussian[0][column]
-                    + rotation[row][1] * world_from_gaussian[1][column]
-                    + rotation[row][2] * world_from_gaussian[2][column]
+                let axis: [T; 3] = std::array::from_fn(|k| world_from_gaussian[k][column]);
+                dot::<FUSED, T>(&rotation[row], &axis)
             })
         });
         let tangent = [center[0] / z, center[1] / z];
@@ -210,21 +322,32 @@ impl<T: Real> Projection<T> {
         });
         let low_pass = T::from_f64(LOW_PASS_PX2);
         let [bx, by] = &half_cov;
-        let (xx, xy, yy) = (dot(bx, bx), dot(bx, by), dot(by, by));
+        let xx = dot::<FUSED, T>(bx, bx);
+        let xy = dot::<FUSED, T>(bx, by);
+        let yy = dot::<FUSED, T>(by, by);
         let cross = [
             bx[1] * by[2] - bx[2] * by[1],
             bx[2] * by[0] - bx[0] * by[2],
             bx[0] * by[1] - bx[1] * by[0],
         ];
         // det(half half^T + l I) as a sum of positive terms: xx yy - xy^2 would cancel.
-        let det = dot(&cross, &cross) + low_pass * (xx + yy + low_pass);
+        let det = dot::<FUSED, T>(&cross, &cross) + low_pass * (xx + yy + low_pass);
         let max_variance = T::from_f64(MAX_VARIANCE_PX2);
-        if !(xx <= max_variance && yy <= max_variance) {
-            return None;
-        }
+        let drawn = (z >= T::from_f64(NEAR_M))
+            & sane(&mean)
+            & sane(&quat)
+            & sane(&log_scales)
+            & sane(&scales)
+            & sane(&sh)
+            & sane(&[opacity_logit])
+            & (quat_norm2 >= T::from_f64(MIN_QUAT_NORM2))
+            & (opacity >= T::from_f64(ALPHA_MIN))
+            & (xx <= max_variance)
+            & (yy <= max_variance);
         let raw_color =
             sh.map(|coefficient| T::from_f64(0.5) + T::from_f64(SH0_FACTOR) * coefficient);
-        Some(Self {
+        Self {
+            drawn,
             center,
             tangent,
             clamped_tangent,
@@ -237,7 +360,7 @@ impl<T: Real> Projection<T> {
             det,
             opacity,
             raw_color,
-        })
+        }
     }
 
     /// The Cholesky factor L^T of the inverse covariance: rows (xx, xy), (0, yy).
@@ -248,35 +371,24 @@ impl<T: Real> Projection<T> {
         [whiten_xx, -whiten_xx * xy / yy, T::ONE / yy.sqrt()]
     }
 
-    /// The disk's normal (third axis) in camera axes, turned so that the second value, its dot
-    /// product with the centre, is not negative.
+    /// The disk's normal (third axis) in camera axes times the second value, 1 or -1, so that the
+    /// third, its dot product with the centre, is not negative.
     #[inline(always)]
-    pub fn normal(&self) -> ([T; 3], T) {
+    pub fn normal<const FUSED: bool>(&self) -> ([T; 3], T, T) {
         let normal: [T; 3] = std::array::from_fn(|row| self.camera_from_gaussian[row][2]);
-        let offset = dot(&normal, &self.center);
-        if offset < T::ZERO {
-            (normal.map(|n| -n), -offset)
-        } else {
-            (normal, offset)
-        }
+        let offset = dot::<FUSED, T>(&normal, &self.center);
+        let sign = if offset < T::ZERO { -T::ONE } else { T::ONE };
+        (normal.map(|n| sign * n), sign, sign * offset)
     }
 
     #[inline(always)]
-    pub fn splat(&self, camera: &ScreenCamera<T>) -> Splat<T> {
+    pub fn splat<const FUSED: bool>(&self, camera: &ScreenCamera<T>) -> Splat<T> {
         let scale = T::from_f64(WHITEN_SCALE);
         let [whiten_xx, whiten_xy, whiten_yy] = self.whitening();
-        let (normal, plane_offset) = self.normal();
+        let (normal, _, plane_offset) = self.normal::<FUSED>();
         let z = self.center[2];
-        let plane = if plane_offset > T::ZERO {
-            [
-                plane_offset / z,
-                normal[0] / camera.focal[0],
-                normal[1] / camera.focal[1],
-            ]
-        } else {
-            [-T::ONE, T::ZERO, T::ZERO]
-        };
-        let log2_e = T::from_f64(std::f64::consts::LOG2_E);
+        let faces = plane_offset > T::ZERO;
+        let or = |value: T, otherwise: T| if faces { value } else { otherwise };
         Splat {
             mean2d: std::array::from_fn(|axis| {
                 camera.focal[axis] * self.tangent[axis] + camera.center[axis]
@@ -287,9 +399,12 @@ impl<T: Real> Projection<T> {
             opacity: self.opacity,
             color: self.raw_color.map(|c| c.max(T::ZERO)),
             center_depth: z,
-            plane,
+            plane: [
+                or(plane_offset / z, -T::ONE),
+                or(normal[0] / camera.focal[0], T::ZERO),
+                or(normal[1] / camera.focal[1], T::ZERO),
+            ],
             plane_offset,
-            support: log2_e * (self.opacity / T::from_f64(ALPHA_MIN)).ln(),
         }
     }
 }

@@ -3,19 +3,16 @@
 //! The sums are taken in whitened coordinates, where they are well scaled for gaussians of any
 //! size and elongation.
 
-use super::project::{Projection, ScreenCamera, WHITEN_SCALE, dot};
+use super::project::{Parameters, Projection, ScreenCamera, WHITEN_SCALE, dot};
 use super::real::Real;
 use crate::gaussians::SH0_FACTOR;
 
-/// Number of sums a pixel contributes to.
-pub(super) const SUMS: usize = 14;
-
 /// Sums over a gaussian's pixels. `g` is the loss's derivative by the exponent of alpha,
 /// `h = weight * d_depth` at pixels that see the disk's plane, `t = 1 / (normal . ray)`; `p`, `q`,
-/// `dx`, `dy` as in [`super::project::Splat`]. Padded to a cache line.
+/// `dx`, `dy` as in [`super::project::Splat`]. Padded to a cache line in `f32`.
 #[derive(Clone, Copy, Debug, Default)]
 #[repr(C, align(64))]
-pub(super) struct PixelSums<T>(pub [T; 16]);
+pub(super) struct PixelSums<T>(pub [T; SUMS]);
 
 impl<T: Real> PixelSums<T> {
     /// Adds the sums of more pixels.
@@ -27,6 +24,9 @@ impl<T: Real> PixelSums<T> {
     }
 }
 
+/// Number of places in [`PixelSums`].
+pub(super) const SUMS: usize = 16;
+
 /// Positions in [`PixelSums`].
 pub(super) mod sum {
     pub const COLOR: usize = 0; // to 2
@@ -36,31 +36,28 @@ pub(super) mod sum {
     pub const GPP: usize = 6;
     pub const GPQ: usize = 7;
     pub const GQQ: usize = 8;
+    /// From here on what comes by the depth.
+    pub const OF_DEPTH: usize = 9;
     /// weight * d_depth at pixels that take the centre's depth.
     pub const CENTER: usize = 9;
     pub const HT: usize = 10;
     pub const HTT: usize = 11;
     pub const HTT_DX: usize = 12;
     pub const HTT_DY: usize = 13;
+    /// Sums a pixel contributes to.
+    pub const OF_PIXELS: usize = 14;
+    /// In how many tiles a pixel took the gaussian.
+    pub const TILES: usize = 14;
 }
 
-/// The derivatives by one gaussian's parameters.
-#[derive(Clone, Copy, Debug, Default)]
-pub(super) struct ParameterGradient<T> {
-    pub d_mean: [T; 3],
-    pub d_quat: [T; 4],
-    pub d_log_scale: [T; 3],
-    pub d_opacity_logit: T,
-    pub d_sh: [T; 3],
-}
-
-/// The derivatives by the parameters of a gaussian from the sums over its pixels.
+/// The derivatives by the parameters of a gaussian from the sums over its pixels. Branch-free: runs
+/// over lanes of gaussians.
 #[inline(always)]
-pub(super) fn project_vjp<T: Real>(
+pub(super) fn project_vjp<const FUSED: bool, T: Real>(
     projection: &Projection<T>,
     camera: &ScreenCamera<T>,
-    PixelSums(sums): &PixelSums<T>,
-) -> ParameterGradient<T> {
+    sums: &[T; SUMS],
+) -> Parameters<T> {
     let [x, y, z] = projection.center;
     let m = &projection.camera_from_gaussian;
     let half_cov = &projection.half_cov;
@@ -84,7 +81,7 @@ pub(super) fn project_vjp<T: Real>(
         std::array::from_fn(|k| cov_xx * half_cov[0][k] + cov_xy * half_cov[1][k]),
         std::array::from_fn(|k| cov_xy * half_cov[0][k] + cov_yy * half_cov[1][k]),
     ];
-    let d_log_scale = std::array::from_fn(|k| {
+    let d_log_scales = std::array::from_fn(|k| {
         d_half_cov[0][k] * half_cov[0][k] + d_half_cov[1][k] * half_cov[1][k]
     });
 
@@ -101,10 +98,10 @@ pub(super) fn project_vjp<T: Real>(
             d_m[2][k] += -j[r] * t[r] * d_unscaled[k];
         }
         // j falls with z: d_j j' = -d_j j / z, and d_j j = <d_half_cov, half_cov> of the row.
-        d_z += -dot(&d_half_cov[r], &half_cov[r]) / z;
-        if projection.tangent[r] == t[r] {
-            d_tangent[r] = -j[r] * dot(&d_unscaled, &m[2]);
-        }
+        d_z += -dot::<FUSED, T>(&d_half_cov[r], &half_cov[r]) / z;
+        let d_free = -j[r] * dot::<FUSED, T>(&d_unscaled, &m[2]);
+        let free = projection.tangent[r] == t[r];
+        d_tangent[r] = if free { d_free } else { T::ZERO };
         // mean2d = focal tangent + center.
         d_tangent[r] += camera.focal[r] * d_mean2d[r];
     }
@@ -116,7 +113,7 @@ pub(super) fn project_vjp<T: Real>(
     ];
 
     // depth = (n . center) / (n . ray).
-    let (normal, offset) = projection.normal();
+    let (normal, sign, offset) = projection.normal::<FUSED>();
     let d_offset = sums[sum::HT];
     let d_n_ray = -offset * sums[sum::HTT];
     let slope = [
@@ -128,18 +125,9 @@ pub(super) fn project_vjp<T: Real>(
         d_offset * y + d_n_ray * projection.tangent[1] + slope[1],
         d_offset * z + d_n_ray,
     ];
-    // `normal` may be the third axis turned round.
-    let flipped = dot(
-        &normal,
-        &std::array::from_fn(|row| projection.camera_from_gaussian[row][2]),
-    ) < T::ZERO;
     for row in 0..3 {
         d_center[row] += d_offset * normal[row];
-        d_m[row][2] += if flipped {
-            -d_normal[row]
-        } else {
-            d_normal[row]
-        };
+        d_m[row][2] += sign * d_normal[row];
     }
 
     let to_world = |v: [T; 3]| -> [T; 3] {
@@ -153,18 +141,17 @@ pub(super) fn project_vjp<T: Real>(
         std::array::from_fn(|k| to_world([d_m[0][k], d_m[1][k], d_m[2][k]]));
 
     let g = sums[sum::G];
-    ParameterGradient {
-        d_mean: to_world(d_center),
-        d_quat: quat_vjp(projection.unit_quat, projection.quat_norm, &d_rotation),
-        d_log_scale,
+    let sh_factor = T::from_f64(SH0_FACTOR);
+    Parameters {
+        mean: to_world(d_center),
+        quat: quat_vjp(projection.unit_quat, projection.quat_norm, &d_rotation),
+        log_scales: d_log_scales,
         // alpha = opacity e^exponent: d_opacity opacity = g, and opacity' = opacity (1 - opacity).
-        d_opacity_logit: g * (T::ONE - projection.opacity),
-        d_sh: std::array::from_fn(|channel| {
-            if projection.raw_color[channel] > T::ZERO {
-                T::from_f64(SH0_FACTOR) * sums[sum::COLOR + channel]
-            } else {
-                T::ZERO
-            }
+        opacity_logit: g * (T::ONE - projection.opacity),
+        sh: std::array::from_fn(|channel| {
+            let d = sh_factor * sums[sum::COLOR + channel];
+            let positive = projection.raw_color[channel] > T::ZERO;
+            if positive { d } else { T::ZERO }
         }),
     }
 }

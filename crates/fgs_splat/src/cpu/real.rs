@@ -1,11 +1,12 @@
 //! The two number types of the CPU rasteriser: `f32` for work, `f64` to hold it against the
 //! reference.
 //!
-//! Everything here is branch-free where a lane loop uses it, so that the loops vectorise, and
-//! free of fused operations, so that every instruction set gives the same bits.
+//! Everything here is branch-free where a lane loop uses it, so that the loops vectorise.
 
 use std::fmt::Debug;
 use std::ops::{Add, AddAssign, Div, Mul, MulAssign, Neg, Sub};
+
+use super::kernel::mul_add;
 
 /// `f32` or `f64`.
 pub trait Real:
@@ -28,26 +29,33 @@ pub trait Real:
     const ZERO: Self;
     /// 1.
     const ONE: Self;
-    /// Bits of [`Real::sort_key`] that can differ.
-    const SORT_KEY_BITS: u32;
+    /// A value and an index, ordered by the value, then by the index.
+    type SortKey: Copy + Debug + Default + Ord + Send + Sync;
 
     /// The nearest value.
     fn from_f64(value: f64) -> Self;
     /// The same value.
     fn to_f64(self) -> f64;
+    /// The nearest value.
+    fn from_i32(value: i32) -> Self;
     /// Square root.
     fn sqrt(self) -> Self;
-    /// e^x.
-    fn exp(self) -> Self;
-    /// Natural logarithm.
-    fn ln(self) -> Self;
-    /// 2^x for x <= 0, exactly 1 at 0; x below -100 counts as -100. `f32`: relative error under
+    /// e^x. `f32`: x is cut to what 2^-100 and 2^100 are the powers of; relative error under
+    /// 2^-22 + 2^-23 |x|.
+    fn exp<const FUSED: bool>(self) -> Self;
+    /// Base 2 logarithm.
+    fn log2(self) -> Self;
+    /// a b + c, rounded once.
+    fn fused_mul_add(self, b: Self, c: Self) -> Self;
+    /// 2^-x for x >= 0, exactly 1 at 0; x above 100 counts as 100. `f32`: relative error under
     /// 2^-22.
-    fn exp2_nonpositive(self) -> Self;
-    /// An integer with the order of the (positive) values.
-    fn sort_key(self) -> u64;
-    /// Integer part towards minus infinity, saturating.
-    fn floor_i64(self) -> i64;
+    fn exp2_neg<const FUSED: bool>(self) -> Self;
+    /// A key from a positive value and an index.
+    fn sort_key(self, index: u32) -> Self::SortKey;
+    /// The key's index.
+    fn sorted_index(key: Self::SortKey) -> u32;
+    /// The greatest integer that is not above, of a value within +-2^22.
+    fn floor_i32(self) -> i32;
 
     /// The lesser; `other` if either is NaN.
     #[inline(always)]
@@ -68,6 +76,10 @@ pub trait Real:
     }
 }
 
+/// 1.5 * 2^23: added to a value within +-2^22 it rounds it to an integer, which then stands in the
+/// lowest bits.
+const ROUND: f32 = 12_582_912.0;
+
 /// Minimax polynomial of 2^f on [-1/2, 1/2] with value 1 at 0, from the linear term up: relative
 /// error 9.2e-8.
 #[expect(
@@ -85,7 +97,7 @@ const EXP2: [f32; 5] = [
 impl Real for f32 {
     const ZERO: Self = 0.0;
     const ONE: Self = 1.0;
-    const SORT_KEY_BITS: u32 = 31;
+    type SortKey = u64;
 
     #[inline(always)]
     fn from_f64(value: f64) -> Self {
@@ -96,44 +108,66 @@ impl Real for f32 {
         f64::from(self)
     }
     #[inline(always)]
+    fn from_i32(value: i32) -> Self {
+        value as f32
+    }
+    #[inline(always)]
     fn sqrt(self) -> Self {
         self.sqrt()
     }
     #[inline(always)]
-    fn exp(self) -> Self {
-        self.exp()
-    }
-    #[inline(always)]
-    fn ln(self) -> Self {
-        self.ln()
+    fn log2(self) -> Self {
+        self.log2()
     }
 
     #[inline(always)]
-    fn exp2_nonpositive(self) -> Self {
-        // Adding 1.5 * 2^23 rounds to an integer, which then stands in the lowest bits.
-        const ROUND: f32 = 12_582_912.0;
-        let x = Real::max(self, -100.0);
-        let rounded = x + ROUND;
-        let f = x - (rounded - ROUND);
-        let [c1, c2, c3, c4, c5] = EXP2;
-        let power = ((((c5 * f + c4) * f + c3) * f + c2) * f + c1) * f + 1.0;
-        f32::from_bits(power.to_bits().wrapping_add(rounded.to_bits() << 23))
+    fn fused_mul_add(self, b: Self, c: Self) -> Self {
+        self.mul_add(b, c)
     }
 
     #[inline(always)]
-    fn sort_key(self) -> u64 {
-        u64::from(self.to_bits())
+    fn exp2_neg<const FUSED: bool>(self) -> Self {
+        exp2::<FUSED>(-Real::min(self, 100.0))
+    }
+
+    #[inline(always)]
+    fn exp<const FUSED: bool>(self) -> Self {
+        let x = self * std::f32::consts::LOG2_E;
+        exp2::<FUSED>(Real::min(Real::max(x, -100.0), 100.0))
+    }
+
+    #[inline(always)]
+    fn sort_key(self, index: u32) -> u64 {
+        u64::from(self.to_bits()) << 32 | u64::from(index)
     }
     #[inline(always)]
-    fn floor_i64(self) -> i64 {
-        self.floor() as i64
+    fn sorted_index(key: u64) -> u32 {
+        key as u32
     }
+    #[inline(always)]
+    fn floor_i32(self) -> i32 {
+        // `as` saturates, for which registers of several values have no instruction.
+        let bits = (self.floor() + ROUND).to_bits();
+        bits.wrapping_sub(ROUND.to_bits()) as i32
+    }
+}
+
+/// 2^x for |x| <= 100.
+#[inline(always)]
+fn exp2<const FUSED: bool>(x: f32) -> f32 {
+    let rounded = x + ROUND;
+    let f = x - (rounded - ROUND);
+    let [c1, c2, c3, c4, c5] = EXP2;
+    let power = [c4, c3, c2, c1, 1.0]
+        .into_iter()
+        .fold(c5, |power, c| mul_add::<FUSED, f32>(power, f, c));
+    f32::from_bits(power.to_bits().wrapping_add(rounded.to_bits() << 23))
 }
 
 impl Real for f64 {
     const ZERO: Self = 0.0;
     const ONE: Self = 1.0;
-    const SORT_KEY_BITS: u32 = 63;
+    type SortKey = (u64, u32);
 
     #[inline(always)]
     fn from_f64(value: f64) -> Self {
@@ -144,28 +178,40 @@ impl Real for f64 {
         self
     }
     #[inline(always)]
+    fn from_i32(value: i32) -> Self {
+        f64::from(value)
+    }
+    #[inline(always)]
     fn sqrt(self) -> Self {
         self.sqrt()
     }
     #[inline(always)]
-    fn exp(self) -> Self {
+    fn exp<const FUSED: bool>(self) -> Self {
         self.exp()
     }
     #[inline(always)]
-    fn ln(self) -> Self {
-        self.ln()
+    fn log2(self) -> Self {
+        self.log2()
     }
     #[inline(always)]
-    fn exp2_nonpositive(self) -> Self {
-        Real::max(self, -100.0).exp2()
+    fn fused_mul_add(self, b: Self, c: Self) -> Self {
+        self.mul_add(b, c)
     }
     #[inline(always)]
-    fn sort_key(self) -> u64 {
-        self.to_bits()
+    fn exp2_neg<const FUSED: bool>(self) -> Self {
+        (-Real::min(self, 100.0)).exp2()
     }
     #[inline(always)]
-    fn floor_i64(self) -> i64 {
-        self.floor() as i64
+    fn sort_key(self, index: u32) -> (u64, u32) {
+        (self.to_bits(), index)
+    }
+    #[inline(always)]
+    fn sorted_index((_, index): (u64, u32)) -> u32 {
+        index
+    }
+    #[inline(always)]
+    fn floor_i32(self) -> i32 {
+        self.floor() as i32
     }
 }
 
@@ -173,19 +219,39 @@ impl Real for f64 {
 mod tests {
     use super::*;
 
-    #[test]
-    fn exp2_keeps_its_error_bound() {
-        assert_eq!(Real::exp2_nonpositive(0.0_f32), 1.0);
+    fn check_exp2<const FUSED: bool>() {
+        assert_eq!(Real::exp2_neg::<FUSED>(0.0_f32), 1.0);
         let mut worst: f64 = 0.0;
         for step in 0..200_000 {
-            let x = -20.0 * step as f32 / 200_000.0;
-            let exact = f64::from(x).exp2();
-            worst = worst.max((f64::from(x.exp2_nonpositive()) - exact).abs() / exact);
+            let x = 20.0 * step as f32 / 200_000.0;
+            let exact = (-f64::from(x)).exp2();
+            worst = worst.max((f64::from(x.exp2_neg::<FUSED>()) - exact).abs() / exact);
         }
         assert!(worst <= 2_f64.powi(-22), "{worst:e}");
-        for x in [-100.0_f32, -1e30, f32::NEG_INFINITY] {
-            let tiny = x.exp2_nonpositive();
+        for x in [100.0_f32, 1e30, f32::INFINITY] {
+            let tiny = x.exp2_neg::<FUSED>();
             assert!((0.0..1e-30).contains(&tiny), "{tiny:e}");
         }
+    }
+
+    fn check_exp<const FUSED: bool>() {
+        for step in -60_000..=60_000 {
+            let x = step as f32 / 1000.0;
+            let exact = f64::from(x).exp();
+            let error = (f64::from(Real::exp::<FUSED>(x)) - exact).abs() / exact;
+            let bound = 2_f64.powi(-22) + 2_f64.powi(-23) * f64::from(x.abs());
+            assert!(error <= bound, "{x}: {error:e}");
+        }
+        for x in [1e30, f32::NEG_INFINITY] {
+            assert!(Real::exp::<FUSED>(x).is_finite());
+        }
+    }
+
+    #[test]
+    fn exponentials_keep_their_error_bounds() {
+        check_exp2::<false>();
+        check_exp2::<true>();
+        check_exp::<false>();
+        check_exp::<true>();
     }
 }

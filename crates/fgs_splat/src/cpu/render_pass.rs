@@ -3,16 +3,18 @@
 //! pass are borrowed, so nothing can change between the pass and its derivative.
 
 use fgs_geom::Image;
-use pulp::Arch;
 use rayon::prelude::*;
 
+use super::Rasterizer;
 use super::backward::BlendTileVjp;
-use super::bounds::{LANES, TILE, TileGrid};
+use super::bounds::{TILE, TileGrid};
 use super::chunks::{CHUNK, ProjectChunkVjp};
+use super::kernel::dispatch;
+use super::lanes::LANES;
 use super::project::ScreenCamera;
 use super::project_vjp::PixelSums;
 use super::real::Real;
-use super::{Rasterizer, split_by_tile_row};
+use super::tiles::{TileLists, split_by_tile_row, take_front};
 use crate::{Cotangents, GaussianGradients, Gaussians, Rendered};
 
 /// A finished render, which can be differentiated. Borrows the gaussians, so that they cannot
@@ -46,21 +48,20 @@ impl<T: Real> RenderPass<'_, T> {
     /// The gaussians that contributed to a pixel, ascending.
     pub fn visible(&self) -> Vec<u32> {
         let Rasterizer {
-            visible,
+            chunks,
             lists,
-            contributed,
+            splats,
             ..
         } = &*self.scratch;
-        let mut start = 0;
-        visible
-            .iter()
-            .filter_map(|gaussian| {
-                let end = gaussian.touches_end as usize;
-                let entries = &lists.entry_from_touch[start..end];
-                start = end;
-                let hit = entries.iter().any(|&entry| contributed[entry as usize]);
-                hit.then_some(gaussian.gaussian)
-            })
+        let mut contributed = vec![false; splats.len()];
+        for entry in &lists.entries {
+            contributed[entry.splat as usize] |= entry.contributed;
+        }
+        let chunks = contributed.chunks(CHUNK).zip(chunks);
+        let gaussians =
+            chunks.flat_map(|(contributed, chunk)| contributed.iter().zip(&chunk.visible));
+        gaussians
+            .filter_map(|(contributed, visible)| contributed.then_some(visible.gaussian))
             .collect()
     }
 
@@ -81,20 +82,24 @@ impl<T: Real> RenderPass<'_, T> {
 
     /// Fills `sums`.
     fn blend_vjp(&mut self, cotangents: &Cotangents<T>) {
-        let arch = Arch::new();
         let Rasterizer {
             splats,
-            lists,
+            lists:
+                TileLists {
+                    starts,
+                    entries,
+                    order,
+                    ..
+                },
             states,
-            contributed,
             sums,
             ..
         } = &mut *self.scratch;
         let (grid, camera) = (&self.grid, &self.camera);
-        sums.resize_with(lists.entries.len(), PixelSums::default);
+        sums.resize_with(entries.len(), PixelSums::default);
         let row_pixels = TILE * grid.width.max(1);
         (
-            split_by_tile_row(sums, lists, grid),
+            split_by_tile_row(sums, starts, grid),
             cotangents.d_color.data().par_chunks(row_pixels),
             cotangents.d_depth_m.data().par_chunks(row_pixels),
             cotangents.d_alpha.data().par_chunks(row_pixels),
@@ -103,21 +108,20 @@ impl<T: Real> RenderPass<'_, T> {
             .enumerate()
             .for_each(|(row, (mut sums, d_color, d_depth_m, d_alpha))| {
                 for tile in row * grid.columns..(row + 1) * grid.columns {
-                    let entries = lists.of_tile(tile);
-                    let (tile_sums, rest) = std::mem::take(&mut sums).split_at_mut(entries.len());
-                    sums = rest;
-                    arch.dispatch(BlendTileVjp {
+                    let list = starts[tile]..starts[tile + 1];
+                    dispatch(BlendTileVjp {
                         tile,
                         grid,
                         camera,
-                        entries,
+                        entries: &entries[list.clone()],
+                        order: &order[list.clone()],
+                        first_slot: list.start,
                         splats,
                         state: &states[tile],
-                        contributed: &contributed[lists.range(tile)],
                         d_color,
                         d_depth_m,
                         d_alpha,
-                        sums: tile_sums,
+                        sums: take_front(&mut sums, list.len()),
                     });
                 }
             });
@@ -125,14 +129,7 @@ impl<T: Real> RenderPass<'_, T> {
 
     /// Adds up each gaussian's sums and carries them to its parameters.
     fn project_vjp(&mut self, gradients: &mut GaussianGradients<T>) {
-        let arch = Arch::new();
-        let Rasterizer {
-            chunks,
-            lists,
-            contributed,
-            sums,
-            ..
-        } = &mut *self.scratch;
+        let Rasterizer { chunks, sums, .. } = &mut *self.scratch;
         let (gaussians, camera) = (self.gaussians, &self.camera);
         (
             chunks.par_iter_mut(),
@@ -145,11 +142,9 @@ impl<T: Real> RenderPass<'_, T> {
             .into_par_iter()
             .for_each(
                 |(chunk, d_means, d_quats, d_log_scales, d_opacity_logits, d_sh)| {
-                    arch.dispatch(ProjectChunkVjp {
+                    dispatch(ProjectChunkVjp {
                         gaussians,
                         camera,
-                        lists,
-                        contributed,
                         sums,
                         chunk,
                         d_means,

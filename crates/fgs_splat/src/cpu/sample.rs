@@ -1,13 +1,12 @@
 //! One gaussian at one pixel: its alpha and its depth. The forward and the backward pass call the
 //! same function, so that both see the same bits. Branch-free: runs over the lanes of a block.
 
-use super::bounds::{BLOCK, BLOCKS, LANES, TILE, TILE_BLOCKS, TileGrid};
+use super::bounds::{BLOCK, BLOCKS, TILE, TILE_BLOCKS, TileGrid};
+use super::kernel::mul_add;
+use super::lanes::{LANES, Lanes};
 use super::project::{ScreenCamera, Splat};
 use super::real::Real;
 use crate::rendering::PLANE_MIN_COS;
-
-/// A value for each pixel of a block.
-pub(super) type Lanes<T> = [T; LANES];
 
 /// A splat evaluated at a pixel.
 pub(super) struct Sample<T> {
@@ -17,37 +16,30 @@ pub(super) struct Sample<T> {
     pub q: T,
     /// Not clamped.
     pub alpha: T,
-    /// 1 / (normal . ray) where `on_plane`, else some finite value.
-    pub inverse_n_ray: T,
-    /// Whether the depth is the plane's, not the centre's.
+    /// normal . ray where `on_plane`, else some positive value.
+    pub n_ray: T,
+    /// Whether the depth is the plane's, `plane_offset / n_ray`, not the centre's.
     pub on_plane: bool,
-    pub depth: T,
 }
 
 impl<T: Real> Sample<T> {
     /// `min_n_ray` is `PLANE_MIN_COS` times the length of the pixel's ray.
     #[inline(always)]
-    pub fn new(splat: &Splat<T>, dx: T, dy: T, min_n_ray: T) -> Self {
-        let p = splat.whiten_xx * dx + splat.whiten_xy * dy;
+    pub fn new<const FUSED: bool>(splat: &Splat<T>, dx: T, dy: T, min_n_ray: T) -> Self {
+        let p = mul_add::<FUSED, T>(splat.whiten_xx, dx, splat.whiten_xy * dy);
         let q = splat.whiten_yy * dy;
-        let alpha = splat.opacity * (-(p * p + q * q)).exp2_nonpositive();
-        let n_ray = splat.plane[0] + splat.plane[1] * dx + splat.plane[2] * dy;
-        let on_plane = n_ray >= min_n_ray;
-        let inverse_n_ray = T::ONE / n_ray.max(min_n_ray);
-        let depth = if on_plane {
-            splat.plane_offset * inverse_n_ray
-        } else {
-            splat.center_depth
-        };
+        let exponent = mul_add::<FUSED, T>(p, p, q * q);
+        let alpha = splat.opacity * exponent.exp2_neg::<FUSED>();
+        let n_ray = mul_add::<FUSED, T>(splat.plane[1], dx, splat.plane[0]);
+        let n_ray = mul_add::<FUSED, T>(splat.plane[2], dy, n_ray);
         Self {
             dx,
             dy,
             p,
             q,
             alpha,
-            inverse_n_ray,
-            on_plane,
-            depth,
+            n_ray: n_ray.max(min_n_ray),
+            on_plane: n_ray >= min_n_ray,
         }
     }
 }
@@ -75,14 +67,24 @@ impl<T: Real> TilePixels<T> {
         let lane_y = std::array::from_fn(|lane| number(lane / BLOCK));
         let block_x = std::array::from_fn(|b| number(origin[0] + b % TILE_BLOCKS * BLOCK));
         let block_y = std::array::from_fn(|b| number(origin[1] + b / TILE_BLOCKS * BLOCK));
-        let mut min_n_ray = [[T::ZERO; LANES]; BLOCKS];
-        for (block, lanes) in min_n_ray.iter_mut().enumerate() {
+        // c^2 (x^2 + 1) and c^2 y^2 of the rays through the pixels of each column and row of blocks.
+        let min_cos2 = T::from_f64(PLANE_MIN_COS * PLANE_MIN_COS);
+        let mut columns = [[T::ZERO; LANES]; TILE_BLOCKS];
+        let mut rows = [[T::ZERO; LANES]; TILE_BLOCKS];
+        for i in 0..TILE_BLOCKS {
             for lane in 0..LANES {
-                let x = (block_x[block] + lane_x[lane] - camera.center[0]) / camera.focal[0];
-                let y = (block_y[block] + lane_y[lane] - camera.center[1]) / camera.focal[1];
-                lanes[lane] = T::from_f64(PLANE_MIN_COS) * (x * x + y * y + T::ONE).sqrt();
+                let u = block_x[i] + lane_x[lane];
+                let v = block_y[i * TILE_BLOCKS] + lane_y[lane];
+                let x = (u - camera.center[0]) / camera.focal[0];
+                let y = (v - camera.center[1]) / camera.focal[1];
+                columns[i][lane] = min_cos2 * (x * x + T::ONE);
+                rows[i][lane] = min_cos2 * (y * y);
             }
         }
+        let min_n_ray = std::array::from_fn(|block| {
+            let (column, row) = (&columns[block % TILE_BLOCKS], &rows[block / TILE_BLOCKS]);
+            std::array::from_fn(|lane| (column[lane] + row[lane]).sqrt())
+        });
         Self {
             origin,
             block_x,

@@ -1,150 +1,144 @@
 //! Per-tile lists of gaussians in the order of blending.
 //!
-//! The visible gaussians are sorted once by depth (stable, so that ties keep the order of their
-//! indices) and dealt out to their tiles in that order: each list comes out sorted. Sizes of
-//! lists and their entries come from the same touches.
+//! The touches are dealt out to their tiles in the order of the gaussians, then each tile sorts
+//! its own list by depth, equally near ones by the order of the gaussians. Sizes of lists and their
+//! entries come from the same touches.
 
-use std::iter::once;
-use std::ops::Range;
-
-use super::bounds::{TileGrid, Touch};
+use super::bounds::TileGrid;
+use super::chunks::{CHUNK, Chunk};
+use super::prefetch::prefetch;
 use super::project::Splat;
 use super::real::Real;
 
-/// A gaussian with at least one touch.
-#[derive(Clone, Copy, Debug, Default)]
-pub(super) struct Visible {
-    pub depth_key: u64,
-    pub gaussian: u32,
-    /// The gaussian's touches end here; they start where the one before ends.
-    pub touches_end: u32,
-}
-
-/// One entry of a tile's list.
+/// A gaussian's presence in a tile.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Entry {
-    pub gaussian: u32,
+    /// Position among the splats.
+    pub splat: u32,
     pub blocks: u16,
+    /// Whether a pixel took it.
+    pub contributed: bool,
 }
 
-/// Items that are loaded together before they are worked on, so that the waits for memory
-/// overlap: a tile's gaussians lie anywhere.
-pub(super) const BATCH: usize = 32;
-
-/// Copies the splats of up to `BATCH` entries.
-#[inline(always)]
-pub(super) fn load_splats<T: Real>(
-    entries: &[Entry],
-    splats: &[Splat<T>],
-    batch: &mut [Splat<T>; BATCH],
-) {
-    for (entry, splat) in entries.iter().zip(batch) {
-        *splat = splats[entry.gaussian as usize];
-    }
-}
-
-/// The lists of all tiles, one after the other.
+/// The lists of all tiles, one after the other: tile `t` has places `starts[t]..starts[t + 1]`.
 #[derive(Debug, Default)]
-pub(super) struct TileLists {
-    pub entries: Vec<Entry>,
-    /// Tile `t` has entries `starts[t]..starts[t + 1]`.
+pub(super) struct TileLists<T: Real> {
     pub starts: Vec<usize>,
-    /// For each touch its position in `entries`.
-    pub entry_from_touch: Vec<u32>,
-    order: Vec<u32>,
-    sort_scratch: Vec<(u64, u32)>,
-    sorted: Vec<(u64, u32)>,
+    /// In the order of the gaussians; the place of an entry is its slot.
+    pub entries: Vec<Entry>,
+    /// Depths and slots of the entries, in the order of blending once each tile has sorted them.
+    pub order: Vec<T::SortKey>,
     cursors: Vec<usize>,
 }
 
-impl TileLists {
-    /// Where a tile's list lies in `entries`.
-    #[inline(always)]
-    pub fn range(&self, tile: usize) -> Range<usize> {
-        self.starts[tile]..self.starts[tile + 1]
-    }
-
-    /// A tile's list, nearest first.
-    #[inline(always)]
-    pub fn of_tile(&self, tile: usize) -> &[Entry] {
-        &self.entries[self.range(tile)]
-    }
-
-    /// Fills the lists. `visible` ascends by gaussian, `touches` are theirs in that order.
-    pub fn fill<T: Real>(&mut self, grid: &TileGrid, visible: &[Visible], touches: &[Touch]) {
+impl<T: Real> TileLists<T> {
+    /// Fills the lists, and tells each chunk where its touches went.
+    pub fn deal(&mut self, grid: &TileGrid, chunks: &mut [Chunk], splats: &[Splat<T>]) {
         self.starts.clear();
         self.starts.resize(grid.len() + 1, 0);
-        for touch in touches {
+        for touch in chunks.iter().flat_map(|chunk| &chunk.touches) {
             self.starts[touch.tile as usize + 1] += 1;
         }
         for tile in 0..grid.len() {
             self.starts[tile + 1] += self.starts[tile];
         }
         self.cursors.clone_from(&self.starts);
-        self.entries.resize(touches.len(), Entry::default());
-        self.entry_from_touch.resize(touches.len(), 0);
-
-        self.sort_by_depth::<T>(visible);
-        let mut batch = [(Touch::default(), 0, Visible::default()); BATCH];
-        for order in self.order.chunks(BATCH) {
-            // Loading the first touch fetches the others too, in most cases.
-            for (&index, loaded) in order.iter().zip(&mut batch) {
-                let index = index as usize;
-                let first = match index {
-                    0 => 0,
-                    _ => visible[index - 1].touches_end as usize,
-                };
-                *loaded = (touches[first], first, visible[index]);
-            }
-            for &(first_touch, first, gaussian) in batch.iter().take(order.len()) {
-                let range = first..gaussian.touches_end as usize;
-                let rest = touches[range.clone()].iter().skip(1);
-                for (&touch, position) in once(&first_touch)
-                    .chain(rest)
-                    .zip(&mut self.entry_from_touch[range])
-                {
+        let len = self.starts[grid.len()];
+        self.entries.resize(len, Entry::default());
+        self.order.resize(len, T::SortKey::default());
+        for (first, chunk) in (0..).step_by(CHUNK).zip(chunks) {
+            chunk.slots.clear();
+            let mut start = 0;
+            for (splat, visible) in (first..).zip(&chunk.visible) {
+                let end = visible.touches_end as usize;
+                let depth = splats[splat].center_depth;
+                for touch in &chunk.touches[start..end] {
                     let cursor = &mut self.cursors[touch.tile as usize];
+                    let slot = *cursor as u32;
+                    self.order[*cursor] = depth.sort_key(slot);
                     self.entries[*cursor] = Entry {
-                        gaussian: gaussian.gaussian,
+                        splat: splat as u32,
                         blocks: touch.blocks,
+                        contributed: false,
                     };
-                    *position = *cursor as u32;
+                    chunk.slots.push(slot);
                     *cursor += 1;
                 }
+                start = end;
             }
+        }
+    }
+}
+
+/// Entries of a tile that are loaded together before they are worked on.
+pub(super) const BATCH: usize = 32;
+
+/// Consecutive entries in the order of blending.
+pub(super) struct Batch<T> {
+    /// The entries' places in the tile's list.
+    pub places: [usize; BATCH],
+    pub entries: [Entry; BATCH],
+    pub splats: [Splat<T>; BATCH],
+}
+
+impl<T: Real> Batch<T> {
+    #[inline(always)]
+    pub fn new() -> Self {
+        Self {
+            places: [0; BATCH],
+            entries: [Entry::default(); BATCH],
+            splats: [Splat::default(); BATCH],
         }
     }
 
-    /// Sets `order` to the positions in `visible` by ascending depth: a radix sort from the
-    /// lowest digit, which is stable.
-    fn sort_by_depth<T: Real>(&mut self, visible: &[Visible]) {
-        /// Bits a pass: 2048 counters stay in the first-level cache.
-        const DIGIT_BITS: u32 = 11;
-        const DIGITS: usize = 1 << DIGIT_BITS;
-        let keys = visible.iter().zip(0..);
-        self.sorted.clear();
-        self.sorted
-            .extend(keys.map(|(visible, position)| (visible.depth_key, position)));
-        self.sort_scratch.resize(visible.len(), (0, 0));
-        for shift in (0..T::SORT_KEY_BITS).step_by(DIGIT_BITS as usize) {
-            let digit = |key: u64| (key >> shift) as usize & (DIGITS - 1);
-            let mut offsets = [0_usize; DIGITS];
-            for &(key, _) in &self.sorted {
-                offsets[digit(key)] += 1;
-            }
-            let mut sum = 0;
-            for offset in &mut offsets {
-                sum += std::mem::replace(offset, sum);
-            }
-            for &(key, position) in &self.sorted {
-                let offset = &mut offsets[digit(key)];
-                self.sort_scratch[*offset] = (key, position);
-                *offset += 1;
-            }
-            std::mem::swap(&mut self.sorted, &mut self.sort_scratch);
+    /// Asks for the splats of up to `BATCH` entries, which will be loaded next.
+    #[inline(always)]
+    pub fn prefetch(
+        order: &[T::SortKey],
+        entries: &[Entry],
+        first_slot: usize,
+        splats: &[Splat<T>],
+    ) {
+        for key in order.iter().take(BATCH) {
+            let entry = &entries[T::sorted_index(*key) as usize - first_slot];
+            prefetch(&splats[entry.splat as usize]);
         }
-        self.order.clear();
-        self.order
-            .extend(self.sorted.iter().map(|&(_, position)| position));
     }
+
+    /// Loads up to `BATCH` entries of a list that starts at that slot.
+    #[inline(always)]
+    pub fn load(
+        &mut self,
+        order: &[T::SortKey],
+        entries: &[Entry],
+        first_slot: usize,
+        splats: &[Splat<T>],
+    ) {
+        for (i, key) in order.iter().enumerate().take(BATCH) {
+            self.places[i] = T::sorted_index(*key) as usize - first_slot;
+            self.entries[i] = entries[self.places[i]];
+            self.splats[i] = splats[self.entries[i].splat as usize];
+        }
+    }
+}
+
+/// One slice of `items` (one per list entry) for each row of tiles.
+pub(super) fn split_by_tile_row<'a, X>(
+    mut items: &'a mut [X],
+    starts: &[usize],
+    grid: &TileGrid,
+) -> Vec<&'a mut [X]> {
+    (0..grid.rows)
+        .map(|row| {
+            let (first, end) = (row * grid.columns, (row + 1) * grid.columns);
+            take_front(&mut items, starts[end] - starts[first])
+        })
+        .collect()
+}
+
+/// Splits the first items off.
+pub(super) fn take_front<'a, X>(items: &mut &'a mut [X], len: usize) -> &'a mut [X] {
+    let (front, rest) = std::mem::take(items).split_at_mut(len);
+    *items = rest;
+    front
 }

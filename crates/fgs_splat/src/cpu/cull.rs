@@ -1,0 +1,87 @@
+//! Leaves out gaussians that cannot reach the image, by their centre and longest axis alone: most
+//! of a map is out of view. Never leaves out one that reaches it; `bounds` decides exactly.
+
+use super::kernel::mul_add;
+use super::lanes::LANES;
+use super::project::ScreenCamera;
+use super::real::Real;
+use crate::Gaussians;
+use crate::rendering::{ALPHA_MIN, LOW_PASS_PX2, NEAR_M};
+
+/// Pixels beyond the border that still count as in view, for what rounding does.
+const SLACK_PX: f64 = 1.0;
+
+/// The part of space that a view shows: along each axis, in camera axes,
+/// `|x - middle z| <= half z + reach scale`, `scale` being the gaussian's longest axis.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Frustum<T> {
+    middle: [T; 2],
+    half: [T; 2],
+    reach: [T; 2],
+}
+
+impl<T: Real> Frustum<T> {
+    pub fn new(camera: &ScreenCamera<T>) -> Self {
+        // Further out than so many standard deviations nothing is left of even an opaque gaussian.
+        let deviations = (2.0 * (1.0 / ALPHA_MIN).ln()).sqrt();
+        let size = [camera.width, camera.height];
+        let by_axis = |value: &dyn Fn(usize, f64, f64) -> f64| {
+            std::array::from_fn(|axis| {
+                let focal = camera.focal[axis].to_f64();
+                T::from_f64(value(axis, focal, 0.5 * (size[axis] as f64 - 1.0)))
+            })
+        };
+        Self {
+            middle: by_axis(&|axis, focal, half_px| {
+                (half_px - camera.center[axis].to_f64()) / focal
+            }),
+            // sqrt(variance + low pass) is at most the sum of the two deviations.
+            half: by_axis(&|_, focal, half_px| {
+                (half_px + deviations * LOW_PASS_PX2.sqrt() + SLACK_PX) / focal
+            }),
+            // A row (1, 0, -tangent) focal / z of the projection lengthens at most by its norm.
+            reach: by_axis(&|axis, _, _| {
+                let (min, max) = (camera.tangent_min[axis], camera.tangent_max[axis]);
+                let tangent = min.abs().max(max.abs()).to_f64();
+                deviations * (1.0 + tangent * tangent).sqrt()
+            }),
+        }
+    }
+
+    /// Appends those of the gaussians `first..end` that may be in view.
+    #[inline(always)]
+    pub fn push_in_view<const FUSED: bool>(
+        &self,
+        camera: &ScreenCamera<T>,
+        gaussians: &Gaussians<T>,
+        first: usize,
+        end: usize,
+        in_view: &mut Vec<u32>,
+    ) {
+        let means = gaussians.means[first..end].chunks(LANES);
+        let log_scales = gaussians.log_scales[first..end].chunks(LANES);
+        for (start, (means, log_scales)) in (first..).step_by(LANES).zip(means.zip(log_scales)) {
+            let mut seen = [0_u32; LANES];
+            for ((seen, mean), log_scales) in seen.iter_mut().zip(means).zip(log_scales) {
+                let [x, y, z] = camera.camera_axes::<FUSED>(mean);
+                let longest = log_scales[0].max(log_scales[1]).max(log_scales[2]);
+                let scale = longest.exp::<FUSED>();
+                let inside = |x: T, axis: usize| {
+                    let off = x - self.middle[axis] * z;
+                    off.abs() <= mul_add::<FUSED, T>(self.half[axis], z, self.reach[axis] * scale)
+                };
+                let in_front = z >= T::from_f64(NEAR_M);
+                *seen = u32::from(in_front & inside(x, 0) & inside(y, 1));
+            }
+            if seen != [0; LANES] {
+                let indices = start as u32..;
+                in_view.extend(
+                    indices
+                        .zip(seen)
+                        .filter(|(_, seen)| *seen != 0)
+                        .map(|(i, _)| i),
+                );
+            }
+        }
+    }
+}

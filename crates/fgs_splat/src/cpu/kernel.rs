@@ -1,0 +1,55 @@
+//! Runs a kernel with the widest instructions that the machine has, chosen when the program runs.
+//!
+//! A kernel is plain code over arrays of lanes, compiled once for each instruction set. Its
+//! multiply-adds are fused where the machine fuses them: elsewhere they would be library calls. So
+//! bits may differ from one kind of machine to another, but not on one machine.
+
+use pulp::{Arch, NullaryFnOnce};
+
+use super::real::Real;
+
+/// Work that is compiled for each instruction set.
+pub(super) trait Kernel {
+    /// Does the work. Everything it calls must be `#[inline(always)]`.
+    fn run<const FUSED: bool>(self);
+}
+
+/// Runs a kernel.
+pub(super) fn dispatch(kernel: impl Kernel) {
+    match Arch::new() {
+        Arch::Scalar => Plain(kernel).call(),
+        arch => arch.dispatch(Fused(kernel)),
+    }
+}
+
+struct Fused<K>(K);
+
+impl<K: Kernel> NullaryFnOnce for Fused<K> {
+    type Output = ();
+
+    #[inline(always)]
+    fn call(self) {
+        self.0.run::<true>();
+    }
+}
+
+struct Plain<K>(K);
+
+impl<K: Kernel> NullaryFnOnce for Plain<K> {
+    type Output = ();
+
+    #[inline(always)]
+    fn call(self) {
+        self.0.run::<false>();
+    }
+}
+
+/// a b + c.
+#[inline(always)]
+pub(super) fn mul_add<const FUSED: bool, T: Real>(a: T, b: T, c: T) -> T {
+    if FUSED {
+        a.fused_mul_add(b, c)
+    } else {
+        a * b + c
+    }
+}
