@@ -53,15 +53,9 @@ impl TileGrid {
     }
 }
 
-/// Columns of blocks `first..end` that a splat touches in each of 16 bands: rows of blocks, one
-/// below the other.
-struct Bands {
-    first: Lanes<i32>,
-    end: Lanes<i32>,
-}
-
-/// The ellipse of a splat's support, and the rows of pixels that it may touch.
-struct Support<T> {
+/// The ellipse that a splat's alpha reaches, and the rows of pixels that it may touch.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Support<T> {
     /// Squared radius in whitened coordinates.
     radius2: T,
     /// The rightmost point has this dy, the leftmost its negative.
@@ -73,12 +67,20 @@ struct Support<T> {
 /// Pixels that the ellipse is larger than it should be, for what rounding does.
 const SLACK_PX: f64 = 1e-2;
 
+/// Bands of blocks, one block high, that are worked on together; they make whole rows of tiles.
+type Bands = Lanes<u32>;
+
+/// Tiles of a row that are worked on together: a bit for each of their columns of blocks, one
+/// after the last included, fits into 32.
+const STRIP: i32 = 7;
+
 impl<T: Real> Support<T> {
+    /// Branch-free: runs over lanes of gaussians.
     #[inline(always)]
-    fn new(splat: &Splat<T>, grid: &TileGrid) -> Self {
+    pub fn new(splat: &Splat<T>, grid: &TileGrid) -> Self {
         // Where alpha reaches `ALPHA_MIN`. Rounding may put a pixel's exponent a little off: the
         // support grows by more than that.
-        let exact = (splat.opacity * T::from_f64(1.0 / ALPHA_MIN)).log2();
+        let exact = (splat.opacity * T::from_f64(1.0 / ALPHA_MIN)).log2_at_least();
         let radius2 = (exact * T::from_f64(1.001) + T::from_f64(1e-3)).max(T::ZERO);
         let radius = radius2.sqrt();
         let (wxy, wyy) = (splat.whiten_xy, splat.whiten_yy);
@@ -93,9 +95,52 @@ impl<T: Real> Support<T> {
         }
     }
 
-    /// The bands from the one whose first row of pixels is `row`.
+    /// Appends every tile that is touched, row by row.
     #[inline(always)]
-    fn bands(&self, splat: &Splat<T>, grid: &TileGrid, row: i32) -> Bands {
+    pub fn push_touches(&self, splat: &Splat<T>, grid: &TileGrid, touches: &mut Vec<Touch>) {
+        if self.first_row > self.last_row {
+            return;
+        }
+        let (tile, tile_blocks) = (TILE as i32, TILE_BLOCKS as i32);
+        let last_tile_row = self.last_row / tile;
+        for group in (self.first_row / tile..=last_tile_row).step_by(LANES / TILE_BLOCKS) {
+            let (first, end) = self.columns(splat, grid, group * tile);
+            let first_tile = first.iter().fold(i32::MAX, |a, &b| a.min(b)) / tile_blocks;
+            let end_tile = (end.iter().fold(0, |a, &b| a.max(b)) + tile_blocks - 1) / tile_blocks;
+            for strip in (first_tile..end_tile).step_by(STRIP as usize) {
+                let origin = strip * tile_blocks;
+                let width = STRIP * tile_blocks;
+                let mut bands: Bands = [0; LANES];
+                for lane in 0..LANES {
+                    let from = (first[lane] - origin).max(0).min(width);
+                    let to = (end[lane] - origin).min(width).max(from);
+                    bands[lane] = (1 << to) - (1 << from);
+                }
+                let rows = bands.chunks_exact(TILE_BLOCKS);
+                for (tile_row, bands) in (group..=last_tile_row).zip(rows) {
+                    for tile_column in strip..end_tile.min(strip + STRIP) {
+                        let shift = (tile_column - strip) * tile_blocks;
+                        let mut blocks = 0;
+                        for (band, columns) in bands.iter().enumerate() {
+                            blocks |= (columns >> shift & 0xf) << (band * TILE_BLOCKS);
+                        }
+                        if blocks != 0 {
+                            touches.push(Touch {
+                                tile: (tile_row * grid.columns as i32 + tile_column) as u32,
+                                blocks: blocks as u16,
+                            });
+                        }
+                    }
+                }
+            }
+        }
+    }
+
+    /// First and after the last column of blocks that is touched in each of 16 bands, of which the
+    /// first begins with that row of pixels. The first is `i32::MAX` / 2 and the last 0 where there
+    /// is none.
+    #[inline(always)]
+    fn columns(&self, splat: &Splat<T>, grid: &TileGrid, row: i32) -> (Lanes<i32>, Lanes<i32>) {
         let slack = T::from_f64(SLACK_PX);
         let (wxy, wyy) = (splat.whiten_xy, splat.whiten_yy);
         let [mean_x, mean_y] = splat.mean2d;
@@ -105,10 +150,7 @@ impl<T: Real> Support<T> {
             let q = wyy * dy;
             (side * (self.radius2 - q * q).max(T::ZERO).sqrt() - wxy * dy) * width
         };
-        let mut bands = Bands {
-            first: [i32::MAX; LANES],
-            end: [0; LANES],
-        };
+        let (mut firsts, mut ends) = ([0; LANES], [0; LANES]);
         for lane in 0..LANES {
             let top = row + lane as i32 * block;
             let bottom = (top + block - 1).min(self.last_row);
@@ -119,47 +161,10 @@ impl<T: Real> Support<T> {
             let left = edge((-self.rightmost_dy).max(dy_top).min(dy_bottom), -T::ONE) - slack;
             let (first, last) = pixels(mean_x + left, mean_x + right, grid.width);
             let touched = (top <= bottom) & (first <= last);
-            bands.first[lane] = if touched { first / block } else { i32::MAX };
-            bands.end[lane] = if touched { last / block + 1 } else { 0 };
+            firsts[lane] = if touched { first / block } else { i32::MAX / 2 };
+            ends[lane] = if touched { last / block + 1 } else { 0 };
         }
-        bands
-    }
-}
-
-/// Appends every tile that the splat's support touches, row by row.
-#[inline(always)]
-pub(super) fn push_touches<T: Real>(splat: &Splat<T>, grid: &TileGrid, touches: &mut Vec<Touch>) {
-    let support = Support::new(splat, grid);
-    let (tile, tile_blocks) = (TILE as i32, TILE_BLOCKS as i32);
-    let first_tile_row = support.first_row / tile;
-    let last_tile_row = support.last_row.div_euclid(tile);
-    let rows_at_once = LANES / TILE_BLOCKS;
-    for group in (first_tile_row..=last_tile_row).step_by(rows_at_once) {
-        let bands = support.bands(splat, grid, group * tile);
-        let rows = bands
-            .first
-            .chunks_exact(TILE_BLOCKS)
-            .zip(bands.end.chunks_exact(TILE_BLOCKS));
-        for (tile_row, (first, end)) in (group..=last_tile_row).zip(rows) {
-            let first_column = first.iter().fold(i32::MAX, |a, &b| a.min(b)) / tile_blocks;
-            let end_column = (end.iter().fold(0, |a, &b| a.max(b)) + tile_blocks - 1) / tile_blocks;
-            for tile_column in first_column..end_column {
-                let origin = tile_column * tile_blocks;
-                let mut blocks = 0_u32;
-                for band in 0..TILE_BLOCKS {
-                    let from = first[band].clamp(origin, origin + tile_blocks) - origin;
-                    let to = end[band].clamp(origin, origin + tile_blocks) - origin;
-                    let columns = (1_u32 << to.max(from)) - (1 << from);
-                    blocks |= columns << (band * TILE_BLOCKS);
-                }
-                if blocks != 0 {
-                    touches.push(Touch {
-                        tile: (tile_row * grid.columns as i32 + tile_column) as u32,
-                        blocks: blocks as u16,
-                    });
-                }
-            }
-        }
+        (firsts, ends)
     }
 }
 

@@ -1,7 +1,7 @@
 //! The two stages that go over gaussians, each cut into chunks of a fixed size: projection, and
 //! the way back from the sums over pixels to the parameters.
 
-use super::bounds::{TileGrid, Touch, push_touches};
+use super::bounds::{Support, TileGrid, Touch};
 use super::cull::Frustum;
 use super::kernel::Kernel;
 use super::lanes::{LANES, Lanes, column, set_column};
@@ -69,12 +69,14 @@ impl<T: Real> Kernel for ProjectChunk<'_, T> {
         for indices in in_view.chunks(LANES) {
             let parameters = load_parameters(self.gaussians, indices);
             let mut splats = [[T::ZERO; LANES]; SPLAT];
+            let mut supports = [Support::default(); LANES];
             let mut drawn = [false; LANES];
             for lane in 0..LANES {
                 let parameters = Parameters::from_array(column(&parameters, lane));
                 let projection = Projection::new::<FUSED>(&parameters, self.camera);
                 let splat = projection.splat::<FUSED>(self.camera);
                 set_column(&mut splats, lane, splat.to_array());
+                supports[lane] = Support::new(&splat, self.grid);
                 drawn[lane] = projection.drawn;
             }
             for (lane, &gaussian) in indices.iter().enumerate() {
@@ -83,7 +85,7 @@ impl<T: Real> Kernel for ProjectChunk<'_, T> {
                 }
                 let splat = Splat::from_array(column(&splats, lane));
                 let before = touches.len();
-                push_touches(&splat, self.grid, touches);
+                supports[lane].push_touches(&splat, self.grid, touches);
                 if touches.len() > before {
                     self.splats[visible.len()] = splat;
                     visible.push(Visible {
