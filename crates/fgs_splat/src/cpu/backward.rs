@@ -12,7 +12,7 @@ use super::project::{ScreenCamera, Splat};
 use super::project_vjp::{PixelSums, sum};
 use super::real::Real;
 use super::sample::{Sample, TilePixels};
-use super::tiles::{BATCH, Batch, Entry};
+use super::tiles::{BATCH, Entry, load_splats, prefetch_splats};
 use crate::rendering::{ALPHA_MAX, ALPHA_MIN};
 
 /// Differentiates one tile. Run it through [`super::kernel::dispatch`].
@@ -23,6 +23,7 @@ pub(super) struct BlendTileVjp<'a, T: Real> {
     /// The tile's list.
     pub entries: &'a [Entry],
     pub order: &'a [T::SortKey],
+    /// The slot of the first of `sums`.
     pub first_slot: usize,
     /// Of all gaussians.
     pub splats: &'a [Splat<T>],
@@ -31,7 +32,7 @@ pub(super) struct BlendTileVjp<'a, T: Real> {
     pub d_color: &'a [[T; 3]],
     pub d_depth_m: &'a [T],
     pub d_alpha: &'a [T],
-    /// Written for each entry of the list.
+    /// Written for each entry in its slot.
     pub sums: &'a mut [PixelSums<T>],
 }
 
@@ -58,13 +59,8 @@ type LaneSums<T> = [Lanes<T>; sum::OF_PIXELS];
 impl<T: Real> Kernel for BlendTileVjp<'_, T> {
     #[inline(always)]
     fn run<const FUSED: bool>(self) {
-        let last = self.order.len().saturating_sub(1) / BATCH * BATCH;
-        Batch::prefetch(
-            &self.order[last..],
-            self.entries,
-            self.first_slot,
-            self.splats,
-        );
+        let last = self.entries.len().saturating_sub(1) / BATCH * BATCH;
+        prefetch_splats(&self.entries[last..], self.splats);
         let pixels = TilePixels::new(self.tile, self.grid, self.camera);
         let zero = [T::ZERO; LANES];
         let mut any_depth = false;
@@ -107,18 +103,20 @@ impl<T: Real> BlendTileVjp<'_, T> {
         blocks: &mut [Block<T>; BLOCKS],
     ) {
         let used_sums = if DEPTH { sum::OF_PIXELS } else { sum::OF_DEPTH };
-        let mut batch = Batch::new();
+        let mut batch = [Splat::default(); BATCH];
         let mut quarters = [[[T::ZERO; 4]; sum::OF_PIXELS]; BATCH];
-        for (index, order) in self.order.chunks(BATCH).enumerate().rev() {
-            batch.load(order, self.entries, self.first_slot, self.splats);
-            let next = &self.order[(index * BATCH).saturating_sub(BATCH)..index * BATCH];
-            Batch::prefetch(next, self.entries, self.first_slot, self.splats);
-            for i in (0..order.len()).rev() {
-                let entry = &batch.entries[i];
+        for (index, entries) in self.entries.chunks(BATCH).enumerate().rev() {
+            let start = index * BATCH;
+            load_splats(entries, self.splats, &mut batch);
+            prefetch_splats(
+                &self.entries[start.saturating_sub(BATCH)..start],
+                self.splats,
+            );
+            for (i, entry) in entries.iter().enumerate().rev() {
                 if !entry.contributed {
                     continue;
                 }
-                let position = (index * BATCH + i) as u32;
+                let position = (start + i) as u32;
                 let mut lane_sums = [[T::ZERO; LANES]; sum::OF_PIXELS];
                 let mut touched = entry.blocks;
                 while touched != 0 {
@@ -126,7 +124,7 @@ impl<T: Real> BlendTileVjp<'_, T> {
                     touched &= touched - 1;
                     if position < blocks[block].most_entries_used {
                         blend_block_vjp::<FUSED, DEPTH, T>(
-                            &batch.splats[i],
+                            &batch[i],
                             pixels,
                             block,
                             position,
@@ -142,12 +140,15 @@ impl<T: Real> BlendTileVjp<'_, T> {
                     black_box(quarters);
                 }
             }
-            for i in 0..order.len() {
-                let sums = &mut self.sums[batch.places[i]];
+            let slots = self.order[start..]
+                .iter()
+                .map(|key| T::sorted_index(*key) as usize);
+            for ((slot, entry), quarters) in slots.zip(entries).zip(&quarters) {
+                let sums = &mut self.sums[slot - self.first_slot];
                 *sums = PixelSums::default();
-                if batch.entries[i].contributed {
+                if entry.contributed {
                     sums.0[sum::TILES] = T::ONE;
-                    for (sum, [a, b, c, d]) in sums.0.iter_mut().zip(quarters[i]) {
+                    for (sum, [a, b, c, d]) in sums.0.iter_mut().zip(*quarters) {
                         *sum = (a + b) + (c + d);
                     }
                 }

@@ -25,6 +25,8 @@ pub(super) const TILE: usize = BLOCK * TILE_BLOCKS;
 pub(super) struct Touch {
     /// Row-major number of the tile.
     pub tile: u32,
+    /// Position of the gaussian's splat among its chunk's.
+    pub splat: u16,
     /// Bit `TILE_BLOCKS * row + column` is set for each block that may be touched.
     pub blocks: u16,
 }
@@ -95,9 +97,15 @@ impl<T: Real> Support<T> {
         }
     }
 
-    /// Appends every tile that is touched, row by row.
+    /// Appends every tile that is touched, row by row. `number` is the splat's among its chunk's.
     #[inline(always)]
-    pub fn push_touches(&self, splat: &Splat<T>, grid: &TileGrid, touches: &mut Vec<Touch>) {
+    pub fn push_touches(
+        &self,
+        splat: &Splat<T>,
+        number: u16,
+        grid: &TileGrid,
+        touches: &mut Vec<Touch>,
+    ) {
         if self.first_row > self.last_row {
             return;
         }
@@ -127,6 +135,7 @@ impl<T: Real> Support<T> {
                         if blocks != 0 {
                             touches.push(Touch {
                                 tile: (tile_row * grid.columns as i32 + tile_column) as u32,
+                                splat: number,
                                 blocks: blocks as u16,
                             });
                         }

@@ -13,6 +13,10 @@ use crate::Gaussians;
 
 /// Gaussians of a chunk: large enough that starting a task costs nothing, small enough to spread.
 pub(super) const CHUNK: usize = 2048;
+const _: () = assert!(
+    CHUNK <= 1 << 16,
+    "a touch counts a chunk's splats in 16 bits"
+);
 
 /// Touches whose sums are asked for ahead: about as many as the cache nearest by has room for.
 const PREFETCH: usize = 64;
@@ -85,7 +89,7 @@ impl<T: Real> Kernel for ProjectChunk<'_, T> {
                 }
                 let splat = Splat::from_array(column(&splats, lane));
                 let before = touches.len();
-                supports[lane].push_touches(&splat, self.grid, touches);
+                supports[lane].push_touches(&splat, visible.len() as u16, self.grid, touches);
                 if touches.len() > before {
                     self.splats[visible.len()] = splat;
                     visible.push(Visible {

@@ -1,6 +1,7 @@
 //! Blends one tile's list front to back into colour, depth and transmittance, block by block of
 //! 16 lanes. A block whose pixels are all saturated takes no further gaussian, and a tile of such
-//! blocks ends its list.
+//! blocks ends its list. Some dozen entries are blended into one block, then into the next: what
+//! is known of a block's pixels stays in registers meanwhile.
 
 use super::bounds::{BLOCKS, TileGrid};
 use super::kernel::{Kernel, mul_add};
@@ -8,7 +9,7 @@ use super::lanes::{LANES, Lanes};
 use super::project::{ScreenCamera, Splat};
 use super::real::Real;
 use super::sample::{Sample, TilePixels};
-use super::tiles::{BATCH, Batch, Entry};
+use super::tiles::{BATCH, Entry, load_splats, prefetch_splats, take_front};
 use crate::rendering::{ALPHA_MAX, ALPHA_MIN, TRANSMITTANCE_MIN};
 
 /// What the backward pass needs to know of a tile's pixels.
@@ -37,8 +38,6 @@ pub(super) struct BlendTile<'a, T: Real> {
     pub camera: &'a ScreenCamera<T>,
     /// The tile's list; tells afterwards which entries contributed.
     pub entries: &'a mut [Entry],
-    pub order: &'a [T::SortKey],
-    pub first_slot: usize,
     /// Of all gaussians.
     pub splats: &'a [Splat<T>],
     pub state: &'a mut TileState<T>,
@@ -48,100 +47,128 @@ pub(super) struct BlendTile<'a, T: Real> {
     pub alpha: &'a mut [T],
 }
 
-/// What is summed up at the pixels of a block.
+/// What the blending knows of a block's pixels.
 #[derive(Clone, Copy)]
-struct BlockImage<T> {
+struct Block<T> {
     red: Lanes<T>,
     green: Lanes<T>,
     blue: Lanes<T>,
     depth: Lanes<T>,
+    /// Product of all `1 - alpha` so far, also of gaussians that the pixel no longer takes: so one
+    /// gaussian waits for the one before it no longer than a multiplication takes.
+    through: Lanes<T>,
+    transmittance: Lanes<T>,
+    entries_used: Lanes<u32>,
 }
 
 impl<T: Real> Kernel for BlendTile<'_, T> {
     #[inline(always)]
     fn run<const FUSED: bool>(self) {
         let grid = self.grid;
-        Batch::prefetch(self.order, self.entries, self.first_slot, self.splats);
+        prefetch_splats(self.entries, self.splats);
         let pixels = TilePixels::new(self.tile, grid, self.camera);
-        let mut state = TileState::default();
-        pixels.for_each_pixel(grid, |block, lane, _| {
-            state.transmittance[block][lane] = T::ONE;
-        });
         let zero = [T::ZERO; LANES];
-        let mut images = [BlockImage {
+        let mut blocks = [Block {
             red: zero,
             green: zero,
             blue: zero,
             depth: zero,
+            through: zero,
+            transmittance: zero,
+            entries_used: [0; LANES],
         }; BLOCKS];
+        pixels.for_each_pixel(grid, |block, lane, _| {
+            blocks[block].through[lane] = T::ONE;
+            blocks[block].transmittance[lane] = T::ONE;
+        });
 
         let mut open_blocks = u16::MAX;
-        let mut batch = Batch::new();
-        'list: for (start, order) in (0..).step_by(BATCH).zip(self.order.chunks(BATCH)) {
-            batch.load(order, self.entries, self.first_slot, self.splats);
-            let next = &self.order[start + order.len()..];
-            Batch::prefetch(next, self.entries, self.first_slot, self.splats);
-            for i in 0..order.len() {
-                let mut blocks = batch.entries[i].blocks & open_blocks;
-                let mut hit = false;
-                while blocks != 0 {
-                    let block = blocks.trailing_zeros() as usize % BLOCKS;
-                    blocks &= blocks - 1;
-                    let outcome = blend_block::<FUSED, T>(
-                        &batch.splats[i],
-                        &pixels,
-                        block,
-                        (start + i) as u32 + 1,
-                        &mut state,
-                        &mut images[block],
-                    );
-                    hit |= outcome & HIT != 0;
-                    if outcome & OPEN == 0 {
+        let mut batch = [Splat::default(); BATCH];
+        let mut rest = self.entries;
+        let mut position = 0;
+        while !rest.is_empty() && open_blocks != 0 {
+            let len = BATCH.min(rest.len());
+            let entries = take_front(&mut rest, len);
+            load_splats(entries, self.splats, &mut batch);
+            prefetch_splats(rest, self.splats);
+            let touching = transpose(entries);
+            let mut hits = [false; BATCH];
+            for block in 0..BLOCKS {
+                if open_blocks & 1 << block == 0 {
+                    continue;
+                }
+                let mut state = blocks[block];
+                let mut touching = touching[block];
+                while touching != 0 {
+                    let i = touching.trailing_zeros() as usize % BATCH;
+                    touching &= touching - 1;
+                    let number = (position + i) as u32 + 1;
+                    let outcome =
+                        blend_block::<FUSED, T>(&batch[i], &pixels, block, number, &mut state);
+                    hits[i] |= outcome.hit;
+                    if !outcome.open {
                         open_blocks &= !(1 << block);
+                        break;
                     }
                 }
-                self.entries[batch.places[i]].contributed = hit;
-                if open_blocks == 0 {
-                    break 'list;
-                }
+                blocks[block] = state;
             }
+            for (entry, hit) in entries.iter_mut().zip(hits) {
+                entry.contributed = hit;
+            }
+            position += BATCH;
         }
 
         pixels.for_each_pixel(grid, |block, lane, pixel| {
-            let image = &images[block];
-            self.color[pixel] = [image.red[lane], image.green[lane], image.blue[lane]];
-            self.depth_m[pixel] = image.depth[lane];
-            self.alpha[pixel] = T::ONE - state.transmittance[block][lane];
+            let block = &blocks[block];
+            self.color[pixel] = [block.red[lane], block.green[lane], block.blue[lane]];
+            self.depth_m[pixel] = block.depth[lane];
+            self.alpha[pixel] = T::ONE - block.transmittance[lane];
         });
-        *self.state = state;
+        self.state.transmittance = blocks.map(|block| block.transmittance);
+        self.state.entries_used = blocks.map(|block| block.entries_used);
     }
 }
 
-/// A pixel took the gaussian.
-const HIT: u32 = 1;
-/// A pixel can take more.
-const OPEN: u32 = 2;
+/// For each block the entries that touch it, as bits.
+#[inline(always)]
+fn transpose(entries: &[Entry]) -> [u32; BLOCKS] {
+    let mut by_block = [0; BLOCKS];
+    for (i, entry) in entries.iter().enumerate().take(BATCH) {
+        for (block, bits) in by_block.iter_mut().enumerate() {
+            *bits |= (u32::from(entry.blocks) >> block & 1) << i;
+        }
+    }
+    by_block
+}
 
-/// Blends a splat, entry number `entries` from 1, over a block.
+/// What became of a block.
+struct Outcome {
+    /// A pixel took the gaussian.
+    hit: bool,
+    /// A pixel can take more.
+    open: bool,
+}
+
+/// Blends a splat, entry number `number` from 1, over a block.
 #[inline(always)]
 fn blend_block<const FUSED: bool, T: Real>(
     splat: &Splat<T>,
     pixels: &TilePixels<T>,
     block: usize,
-    entries: u32,
-    state: &mut TileState<T>,
-    image: &mut BlockImage<T>,
-) -> u32 {
+    number: u32,
+    pixel: &mut Block<T>,
+) -> Outcome {
     // A copy, so that a lane's choice between two fields is no conditional load.
     let splat = *splat;
     let alpha_min = T::from_f64(ALPHA_MIN);
     let alpha_max = T::from_f64(ALPHA_MAX);
     let transmittance_min = T::from_f64(TRANSMITTANCE_MIN);
+    // Far under the least transmittance, and far over where numbers lose digits.
+    let through_min = T::from_f64(1e-30);
     let x = pixels.block_x[block] - splat.mean2d[0];
     let y = pixels.block_y[block] - splat.mean2d[1];
     let min_n_ray = &pixels.min_n_ray[block];
-    let transmittance = &mut state.transmittance[block];
-    let entries_used = &mut state.entries_used[block];
     let mut taken = [0_u32; LANES];
     let mut open = [0_u32; LANES];
     for lane in 0..LANES {
@@ -153,28 +180,29 @@ fn blend_block<const FUSED: bool, T: Real>(
         } else {
             splat.center_depth
         };
-        let before = transmittance[lane];
-        let takes = (sample.alpha >= alpha_min) & (before >= transmittance_min);
-        let alpha = if takes {
+        let drawn = sample.alpha >= alpha_min;
+        let alpha = if drawn {
             sample.alpha.min(alpha_max)
         } else {
             T::ZERO
         };
-        let weight = before * alpha;
-        image.red[lane] = mul_add::<FUSED, T>(weight, splat.color[0], image.red[lane]);
-        image.green[lane] = mul_add::<FUSED, T>(weight, splat.color[1], image.green[lane]);
-        image.blue[lane] = mul_add::<FUSED, T>(weight, splat.color[2], image.blue[lane]);
-        image.depth[lane] = mul_add::<FUSED, T>(weight, depth, image.depth[lane]);
+        let before = pixel.through[lane];
         let after = before * (T::ONE - alpha);
-        transmittance[lane] = after;
+        pixel.through[lane] = after.max(through_min);
+        let takes = drawn & (before >= transmittance_min);
+        let weight = if takes { before * alpha } else { T::ZERO };
+        pixel.red[lane] = mul_add::<FUSED, T>(weight, splat.color[0], pixel.red[lane]);
+        pixel.green[lane] = mul_add::<FUSED, T>(weight, splat.color[1], pixel.green[lane]);
+        pixel.blue[lane] = mul_add::<FUSED, T>(weight, splat.color[2], pixel.blue[lane]);
+        pixel.depth[lane] = mul_add::<FUSED, T>(weight, depth, pixel.depth[lane]);
+        let (transmittance, used) = (pixel.transmittance[lane], pixel.entries_used[lane]);
+        pixel.transmittance[lane] = if takes { after } else { transmittance };
+        pixel.entries_used[lane] = if takes { number } else { used };
         taken[lane] = u32::from(takes);
         open[lane] = u32::from(after >= transmittance_min);
     }
-    let mut outcome = 0;
-    for lane in 0..LANES {
-        // No branch: `entries` only grows.
-        entries_used[lane] = entries_used[lane].max(entries * taken[lane]);
-        outcome |= (HIT * taken[lane]) | (OPEN * open[lane]);
+    Outcome {
+        hit: taken != [0; LANES],
+        open: open != [0; LANES],
     }
-    outcome
 }

@@ -120,13 +120,7 @@ impl<T: Real> Rasterizer<T> {
     fn blend(&mut self, camera: &ScreenCamera<T>, grid: &TileGrid) {
         let Self {
             splats,
-            lists:
-                TileLists {
-                    starts,
-                    entries,
-                    order,
-                    ..
-                },
+            lists,
             states,
             rendered,
             ..
@@ -135,31 +129,34 @@ impl<T: Real> Rasterizer<T> {
             *rendered = empty_images(grid.width, grid.height);
         }
         states.resize_with(grid.len(), TileState::default);
+        let (starts, dealt) = (&lists.starts, &lists.dealt);
         let row_pixels = TILE * grid.width.max(1);
         (
             rendered.color.data_mut().par_chunks_mut(row_pixels),
             rendered.depth_m.data_mut().par_chunks_mut(row_pixels),
             rendered.alpha.data_mut().par_chunks_mut(row_pixels),
             states.par_chunks_mut(grid.columns.max(1)),
-            split_by_tile_row(entries, starts, grid),
-            split_by_tile_row(order, starts, grid),
+            split_by_tile_row(&mut lists.order, starts, grid),
+            split_by_tile_row(&mut lists.entries, starts, grid),
         )
             .into_par_iter()
             .enumerate()
             .for_each(
-                |(row, (color, depth_m, alpha, states, mut entries, mut order))| {
+                |(row, (color, depth_m, alpha, states, mut order, mut entries))| {
                     for (column, state) in states.iter_mut().enumerate() {
                         let tile = row * grid.columns + column;
                         let len = starts[tile + 1] - starts[tile];
                         let order = take_front(&mut order, len);
+                        let entries = take_front(&mut entries, len);
                         order.sort_unstable();
+                        for (entry, key) in entries.iter_mut().zip(order) {
+                            *entry = dealt[T::sorted_index(*key) as usize];
+                        }
                         dispatch(BlendTile {
                             tile,
                             grid,
                             camera,
-                            entries: take_front(&mut entries, len),
-                            order,
-                            first_slot: starts[tile],
+                            entries,
                             splats,
                             state,
                             color: &mut *color,

@@ -24,48 +24,48 @@ pub(super) struct Entry {
 #[derive(Debug, Default)]
 pub(super) struct TileLists<T: Real> {
     pub starts: Vec<usize>,
-    /// In the order of the gaussians; the place of an entry is its slot.
-    pub entries: Vec<Entry>,
-    /// Depths and slots of the entries, in the order of blending once each tile has sorted them.
+    /// Depths and slots of the entries: a slot is a place in the order of the gaussians. In the
+    /// order of blending once each tile has sorted its own.
     pub order: Vec<T::SortKey>,
-    cursors: Vec<usize>,
+    /// By slot.
+    pub dealt: Vec<Entry>,
+    /// In the order of blending, written as each tile is blended.
+    pub entries: Vec<Entry>,
+    cursors: Vec<u32>,
 }
 
 impl<T: Real> TileLists<T> {
-    /// Fills the lists, and tells each chunk where its touches went.
+    /// Fills `order` and `dealt`, and tells each chunk where its touches went.
     pub fn deal(&mut self, grid: &TileGrid, chunks: &mut [Chunk], splats: &[Splat<T>]) {
         self.starts.clear();
         self.starts.resize(grid.len() + 1, 0);
         for touch in chunks.iter().flat_map(|chunk| &chunk.touches) {
             self.starts[touch.tile as usize + 1] += 1;
         }
+        self.cursors.clear();
         for tile in 0..grid.len() {
+            self.cursors.push(self.starts[tile] as u32);
             self.starts[tile + 1] += self.starts[tile];
         }
-        self.cursors.clone_from(&self.starts);
         let len = self.starts[grid.len()];
-        self.entries.resize(len, Entry::default());
         self.order.resize(len, T::SortKey::default());
+        self.dealt.resize(len, Entry::default());
+        self.entries.resize(len, Entry::default());
         for (first, chunk) in (0..).step_by(CHUNK).zip(chunks) {
             chunk.slots.clear();
-            let mut start = 0;
-            for (splat, visible) in (first..).zip(&chunk.visible) {
-                let end = visible.touches_end as usize;
-                let depth = splats[splat].center_depth;
-                for touch in &chunk.touches[start..end] {
-                    let cursor = &mut self.cursors[touch.tile as usize];
-                    let slot = *cursor as u32;
-                    self.order[*cursor] = depth.sort_key(slot);
-                    self.entries[*cursor] = Entry {
-                        splat: splat as u32,
-                        blocks: touch.blocks,
-                        contributed: false,
-                    };
-                    chunk.slots.push(slot);
-                    *cursor += 1;
-                }
-                start = end;
-            }
+            chunk.slots.extend(chunk.touches.iter().map(|touch| {
+                let splat = first + usize::from(touch.splat);
+                let cursor = &mut self.cursors[touch.tile as usize];
+                let slot = *cursor;
+                *cursor += 1;
+                self.order[slot as usize] = splats[splat].center_depth.sort_key(slot);
+                self.dealt[slot as usize] = Entry {
+                    splat: splat as u32,
+                    blocks: touch.blocks,
+                    contributed: false,
+                };
+                slot
+            }));
         }
     }
 }
@@ -73,52 +73,23 @@ impl<T: Real> TileLists<T> {
 /// Entries of a tile that are loaded together before they are worked on.
 pub(super) const BATCH: usize = 32;
 
-/// Consecutive entries in the order of blending.
-pub(super) struct Batch<T> {
-    /// The entries' places in the tile's list.
-    pub places: [usize; BATCH],
-    pub entries: [Entry; BATCH],
-    pub splats: [Splat<T>; BATCH],
+/// Asks for the splats of up to `BATCH` entries, which will be loaded next.
+#[inline(always)]
+pub(super) fn prefetch_splats<T: Real>(entries: &[Entry], splats: &[Splat<T>]) {
+    for entry in entries.iter().take(BATCH) {
+        prefetch(&splats[entry.splat as usize]);
+    }
 }
 
-impl<T: Real> Batch<T> {
-    #[inline(always)]
-    pub fn new() -> Self {
-        Self {
-            places: [0; BATCH],
-            entries: [Entry::default(); BATCH],
-            splats: [Splat::default(); BATCH],
-        }
-    }
-
-    /// Asks for the splats of up to `BATCH` entries, which will be loaded next.
-    #[inline(always)]
-    pub fn prefetch(
-        order: &[T::SortKey],
-        entries: &[Entry],
-        first_slot: usize,
-        splats: &[Splat<T>],
-    ) {
-        for key in order.iter().take(BATCH) {
-            let entry = &entries[T::sorted_index(*key) as usize - first_slot];
-            prefetch(&splats[entry.splat as usize]);
-        }
-    }
-
-    /// Loads up to `BATCH` entries of a list that starts at that slot.
-    #[inline(always)]
-    pub fn load(
-        &mut self,
-        order: &[T::SortKey],
-        entries: &[Entry],
-        first_slot: usize,
-        splats: &[Splat<T>],
-    ) {
-        for (i, key) in order.iter().enumerate().take(BATCH) {
-            self.places[i] = T::sorted_index(*key) as usize - first_slot;
-            self.entries[i] = entries[self.places[i]];
-            self.splats[i] = splats[self.entries[i].splat as usize];
-        }
+/// Copies the splats of up to `BATCH` entries.
+#[inline(always)]
+pub(super) fn load_splats<T: Real>(
+    entries: &[Entry],
+    splats: &[Splat<T>],
+    batch: &mut [Splat<T>; BATCH],
+) {
+    for (entry, splat) in entries.iter().zip(batch) {
+        *splat = splats[entry.splat as usize];
     }
 }
 
