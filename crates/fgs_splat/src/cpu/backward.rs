@@ -49,8 +49,6 @@ struct Block<T> {
     /// The loss's derivative along all that has been walked over, as one colour.
     behind: Lanes<T>,
     entries_used: Lanes<u32>,
-    /// The largest.
-    most_entries_used: u32,
 }
 
 /// Lane sums of one entry.
@@ -73,9 +71,6 @@ impl<T: Real> Kernel for BlendTileVjp<'_, T> {
             transmittance: self.state.transmittance[block],
             behind: zero,
             entries_used: self.state.entries_used[block],
-            most_entries_used: self.state.entries_used[block]
-                .iter()
-                .fold(0, |a, &b| a.max(b)),
         });
         pixels.for_each_pixel(self.grid, |block, lane, pixel| {
             let block = &mut blocks[block];
@@ -113,25 +108,23 @@ impl<T: Real> BlendTileVjp<'_, T> {
                 self.splats,
             );
             for (i, entry) in entries.iter().enumerate().rev() {
-                if !entry.contributed {
+                if entry.blocks == 0 {
                     continue;
                 }
                 let position = (start + i) as u32;
                 let mut lane_sums = [[T::ZERO; LANES]; sum::OF_PIXELS];
-                let mut touched = entry.blocks;
-                while touched != 0 {
-                    let block = touched.trailing_zeros() as usize % BLOCKS;
-                    touched &= touched - 1;
-                    if position < blocks[block].most_entries_used {
-                        blend_block_vjp::<FUSED, DEPTH, T>(
-                            &batch[i],
-                            pixels,
-                            block,
-                            position,
-                            &mut blocks[block],
-                            &mut lane_sums,
-                        );
-                    }
+                let mut taken = entry.blocks;
+                while taken != 0 {
+                    let block = taken.trailing_zeros() as usize % BLOCKS;
+                    taken &= taken - 1;
+                    blend_block_vjp::<FUSED, DEPTH, T>(
+                        &batch[i],
+                        pixels,
+                        block,
+                        position,
+                        &mut blocks[block],
+                        &mut lane_sums,
+                    );
                 }
                 for (quarters, lanes) in quarters[i].iter_mut().zip(&lane_sums).take(used_sums) {
                     *quarters = add_quarters(lanes);
@@ -146,7 +139,7 @@ impl<T: Real> BlendTileVjp<'_, T> {
             for ((slot, entry), quarters) in slots.zip(entries).zip(&quarters) {
                 let sums = &mut self.sums[slot - self.first_slot];
                 *sums = PixelSums::default();
-                if entry.contributed {
+                if entry.blocks != 0 {
                     sums.0[sum::TILES] = T::ONE;
                     for (sum, [a, b, c, d]) in sums.0.iter_mut().zip(*quarters) {
                         *sum = (a + b) + (c + d);

@@ -36,7 +36,7 @@ pub(super) struct BlendTile<'a, T: Real> {
     pub tile: usize,
     pub grid: &'a TileGrid,
     pub camera: &'a ScreenCamera<T>,
-    /// The tile's list; tells afterwards which entries contributed.
+    /// The tile's list; afterwards of each entry only the blocks where a pixel took it.
     pub entries: &'a mut [Entry],
     /// Of all gaussians.
     pub splats: &'a [Splat<T>],
@@ -92,7 +92,7 @@ impl<T: Real> Kernel for BlendTile<'_, T> {
             load_splats(entries, self.splats, &mut batch);
             prefetch_splats(rest, self.splats);
             let touching = transpose(entries);
-            let mut hits = [false; BATCH];
+            let mut hits = [0_u16; BATCH];
             for block in 0..BLOCKS {
                 if open_blocks & 1 << block == 0 {
                     continue;
@@ -105,7 +105,7 @@ impl<T: Real> Kernel for BlendTile<'_, T> {
                     let number = (position + i) as u32 + 1;
                     let outcome =
                         blend_block::<FUSED, T>(&batch[i], &pixels, block, number, &mut state);
-                    hits[i] |= outcome.hit;
+                    hits[i] |= u16::from(outcome.hit) << block;
                     if !outcome.open {
                         open_blocks &= !(1 << block);
                         break;
@@ -113,10 +113,13 @@ impl<T: Real> Kernel for BlendTile<'_, T> {
                 }
                 blocks[block] = state;
             }
-            for (entry, hit) in entries.iter_mut().zip(hits) {
-                entry.contributed = hit;
+            for (entry, hits) in entries.iter_mut().zip(hits) {
+                entry.blocks = hits;
             }
             position += BATCH;
+        }
+        for entry in rest {
+            entry.blocks = 0;
         }
 
         pixels.for_each_pixel(grid, |block, lane, pixel| {

@@ -39,7 +39,7 @@ impl<T: Real> RenderPass<'_, T> {
         let blocks = self
             .scratch
             .lists
-            .entries
+            .dealt
             .iter()
             .map(|entry| entry.blocks.count_ones());
         LANES * blocks.sum::<u32>() as usize
@@ -55,7 +55,7 @@ impl<T: Real> RenderPass<'_, T> {
         } = &*self.scratch;
         let mut contributed = vec![false; splats.len()];
         for entry in &lists.entries {
-            contributed[entry.splat as usize] |= entry.contributed;
+            contributed[entry.splat as usize] |= entry.blocks != 0;
         }
         let chunks = contributed.chunks(CHUNK).zip(chunks);
         let gaussians =

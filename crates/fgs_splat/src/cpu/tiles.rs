@@ -16,8 +16,6 @@ pub(super) struct Entry {
     /// Position among the splats.
     pub splat: u32,
     pub blocks: u16,
-    /// Whether a pixel took it.
-    pub contributed: bool,
 }
 
 /// The lists of all tiles, one after the other: tile `t` has places `starts[t]..starts[t + 1]`.
@@ -29,7 +27,8 @@ pub(super) struct TileLists<T: Real> {
     pub order: Vec<T::SortKey>,
     /// By slot.
     pub dealt: Vec<Entry>,
-    /// In the order of blending, written as each tile is blended.
+    /// In the order of blending, each with the blocks where a pixel took it; written as each tile is
+    /// blended.
     pub entries: Vec<Entry>,
     cursors: Vec<u32>,
 }
@@ -62,7 +61,6 @@ impl<T: Real> TileLists<T> {
                 self.dealt[slot as usize] = Entry {
                     splat: splat as u32,
                     blocks: touch.blocks,
-                    contributed: false,
                 };
                 slot
             }));
