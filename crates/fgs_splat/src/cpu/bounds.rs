@@ -1,6 +1,6 @@
 //! Which pixel blocks a gaussian's support touches.
 //!
-//! An image is cut into tiles of 16x16 pixels and each tile into 4x4 blocks of 4x4 pixels, whose
+//! An image is cut into tiles of 32x16 pixels and each tile into 8x4 blocks of 4x4 pixels, whose
 //! 16 pixels the blending handles as 16 lanes. Bounds come from the ellipse itself and are never
 //! too small: blending decides each pixel anyway.
 
@@ -13,12 +13,20 @@ use crate::rendering::ALPHA_MIN;
 pub(super) const BLOCK: usize = 4;
 /// A block's pixels are worked on together.
 const _: () = assert!(BLOCK * BLOCK == LANES);
-/// Blocks along a side of a tile.
-pub(super) const TILE_BLOCKS: usize = 4;
+/// Blocks from left to right of a tile: as many as the nearest cache holds what is known of their
+/// pixels, since every tile that a gaussian touches costs something.
+pub(super) const TILE_COLUMNS: usize = 8;
+/// Blocks from top to bottom of a tile.
+pub(super) const TILE_ROWS: usize = 4;
 /// Blocks of a tile.
-pub(super) const BLOCKS: usize = TILE_BLOCKS * TILE_BLOCKS;
-/// Pixels along a side of a tile.
-pub(super) const TILE: usize = BLOCK * TILE_BLOCKS;
+pub(super) const BLOCKS: usize = TILE_COLUMNS * TILE_ROWS;
+/// Pixels from left to right of a tile.
+pub(super) const TILE_WIDTH: usize = BLOCK * TILE_COLUMNS;
+/// Pixels from top to bottom of a tile.
+pub(super) const TILE_HEIGHT: usize = BLOCK * TILE_ROWS;
+/// A bit for each block of a tile: bit `TILE_COLUMNS * row + column`.
+pub(super) type BlockSet = u32;
+const _: () = assert!(BLOCKS == BlockSet::BITS as usize);
 
 /// A gaussian's presence in a tile.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -27,8 +35,8 @@ pub(super) struct Touch {
     pub tile: u32,
     /// Position of the gaussian's splat among its chunk's.
     pub splat: u16,
-    /// Bit `TILE_BLOCKS * row + column` is set for each block that may be touched.
-    pub blocks: u16,
+    /// Those that may be touched.
+    pub blocks: BlockSet,
 }
 
 /// The tiles of an image.
@@ -45,8 +53,8 @@ impl TileGrid {
         Self {
             width,
             height,
-            columns: width.div_ceil(TILE),
-            rows: height.div_ceil(TILE),
+            columns: width.div_ceil(TILE_WIDTH),
+            rows: height.div_ceil(TILE_HEIGHT),
         }
     }
 
@@ -74,7 +82,10 @@ type Bands = Lanes<u32>;
 
 /// Tiles of a row that are worked on together: a bit for each of their columns of blocks, one
 /// after the last included, fits into 32.
-const STRIP: i32 = 7;
+const STRIP: i32 = 3;
+
+/// A bit for each column of blocks of a tile.
+const ROW: BlockSet = (1 << TILE_COLUMNS) - 1;
 
 impl<T: Real> Support<T> {
     /// Branch-free: runs over lanes of gaussians.
@@ -109,9 +120,9 @@ impl<T: Real> Support<T> {
         if self.first_row > self.last_row {
             return;
         }
-        let (tile, tile_blocks) = (TILE as i32, TILE_BLOCKS as i32);
+        let (tile, tile_blocks) = (TILE_HEIGHT as i32, TILE_COLUMNS as i32);
         let last_tile_row = self.last_row / tile;
-        for group in (self.first_row / tile..=last_tile_row).step_by(LANES / TILE_BLOCKS) {
+        for group in (self.first_row / tile..=last_tile_row).step_by(LANES / TILE_ROWS) {
             let (first, end) = self.columns(splat, grid, group * tile);
             let first_tile = first.iter().fold(i32::MAX, |a, &b| a.min(b)) / tile_blocks;
             let end_tile = (end.iter().fold(0, |a, &b| a.max(b)) + tile_blocks - 1) / tile_blocks;
@@ -124,19 +135,19 @@ impl<T: Real> Support<T> {
                     let to = (end[lane] - origin).min(width).max(from);
                     bands[lane] = (1 << to) - (1 << from);
                 }
-                let rows = bands.chunks_exact(TILE_BLOCKS);
+                let rows = bands.chunks_exact(TILE_ROWS);
                 for (tile_row, bands) in (group..=last_tile_row).zip(rows) {
                     for tile_column in strip..end_tile.min(strip + STRIP) {
                         let shift = (tile_column - strip) * tile_blocks;
                         let mut blocks = 0;
                         for (band, columns) in bands.iter().enumerate() {
-                            blocks |= (columns >> shift & 0xf) << (band * TILE_BLOCKS);
+                            blocks |= (columns >> shift & ROW) << (band * TILE_COLUMNS);
                         }
                         if blocks != 0 {
                             touches.push(Touch {
                                 tile: (tile_row * grid.columns as i32 + tile_column) as u32,
                                 splat: number,
-                                blocks: blocks as u16,
+                                blocks,
                             });
                         }
                     }

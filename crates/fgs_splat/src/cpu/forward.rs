@@ -3,7 +3,7 @@
 //! blocks ends its list. Some dozen entries are blended into one block, then into the next: what
 //! is known of a block's pixels stays in registers meanwhile.
 
-use super::bounds::{BLOCKS, TileGrid};
+use super::bounds::{BLOCKS, BlockSet, TileGrid};
 use super::kernel::{Kernel, mul_add};
 use super::lanes::{LANES, Lanes};
 use super::project::{ScreenCamera, Splat};
@@ -82,7 +82,7 @@ impl<T: Real> Kernel for BlendTile<'_, T> {
             blocks[block].transmittance[lane] = T::ONE;
         });
 
-        let mut open_blocks = u16::MAX;
+        let mut open_blocks = BlockSet::MAX;
         let mut batch = [Splat::default(); BATCH];
         let mut rest = self.entries;
         let mut position = 0;
@@ -92,7 +92,7 @@ impl<T: Real> Kernel for BlendTile<'_, T> {
             load_splats(entries, self.splats, &mut batch);
             prefetch_splats(rest, self.splats);
             let touching = transpose(entries);
-            let mut hits = [0_u16; BATCH];
+            let mut hits = [0; BATCH];
             for block in 0..BLOCKS {
                 if open_blocks & 1 << block == 0 {
                     continue;
@@ -105,7 +105,7 @@ impl<T: Real> Kernel for BlendTile<'_, T> {
                     let number = (position + i) as u32 + 1;
                     let outcome =
                         blend_block::<FUSED, T>(&batch[i], &pixels, block, number, &mut state);
-                    hits[i] |= u16::from(outcome.hit) << block;
+                    hits[i] |= BlockSet::from(outcome.hit) << block;
                     if !outcome.open {
                         open_blocks &= !(1 << block);
                         break;
@@ -139,7 +139,7 @@ fn transpose(entries: &[Entry]) -> [u32; BLOCKS] {
     let mut by_block = [0; BLOCKS];
     for (i, entry) in entries.iter().enumerate().take(BATCH) {
         for (block, bits) in by_block.iter_mut().enumerate() {
-            *bits |= (u32::from(entry.blocks) >> block & 1) << i;
+            *bits |= (entry.blocks >> block & 1) << i;
         }
     }
     by_block

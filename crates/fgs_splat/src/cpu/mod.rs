@@ -24,7 +24,7 @@ mod tiles;
 use fgs_geom::{Image, View};
 use rayon::prelude::*;
 
-use bounds::{TILE, TileGrid};
+use bounds::{TILE_HEIGHT, TileGrid};
 use chunks::{CHUNK, Chunk, ProjectChunk};
 use cull::Frustum;
 use forward::{BlendTile, TileState};
@@ -130,7 +130,7 @@ impl<T: Real> Rasterizer<T> {
         }
         states.resize_with(grid.len(), TileState::default);
         let (starts, dealt) = (&lists.starts, &lists.dealt);
-        let row_pixels = TILE * grid.width.max(1);
+        let row_pixels = TILE_HEIGHT * grid.width.max(1);
         (
             rendered.color.data_mut().par_chunks_mut(row_pixels),
             rendered.depth_m.data_mut().par_chunks_mut(row_pixels),

@@ -7,7 +7,7 @@ use rayon::prelude::*;
 
 use super::Rasterizer;
 use super::backward::BlendTileVjp;
-use super::bounds::{TILE, TileGrid};
+use super::bounds::{TILE_HEIGHT, TileGrid};
 use super::chunks::{CHUNK, ProjectChunkVjp};
 use super::kernel::dispatch;
 use super::lanes::LANES;
@@ -97,7 +97,7 @@ impl<T: Real> RenderPass<'_, T> {
         } = &mut *self.scratch;
         let (grid, camera) = (&self.grid, &self.camera);
         sums.resize_with(entries.len(), PixelSums::default);
-        let row_pixels = TILE * grid.width.max(1);
+        let row_pixels = TILE_HEIGHT * grid.width.max(1);
         (
             split_by_tile_row(sums, starts, grid),
             cotangents.d_color.data().par_chunks(row_pixels),

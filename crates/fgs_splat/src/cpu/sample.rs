@@ -1,7 +1,7 @@
 //! One gaussian at one pixel: its alpha and its depth. The forward and the backward pass call the
 //! same function, so that both see the same bits. Branch-free: runs over the lanes of a block.
 
-use super::bounds::{BLOCK, BLOCKS, TILE, TILE_BLOCKS, TileGrid};
+use super::bounds::{BLOCK, BLOCKS, TILE_COLUMNS, TILE_HEIGHT, TILE_ROWS, TILE_WIDTH, TileGrid};
 use super::kernel::mul_add;
 use super::lanes::{LANES, Lanes};
 use super::project::{ScreenCamera, Splat};
@@ -61,28 +61,34 @@ pub(super) struct TilePixels<T> {
 impl<T: Real> TilePixels<T> {
     #[inline(always)]
     pub fn new(tile: usize, grid: &TileGrid, camera: &ScreenCamera<T>) -> Self {
-        let origin = [tile % grid.columns * TILE, tile / grid.columns * TILE];
+        let origin = [
+            tile % grid.columns * TILE_WIDTH,
+            tile / grid.columns * TILE_HEIGHT,
+        ];
         let number = |value: usize| T::from_f64(value as f64);
         let lane_x = std::array::from_fn(|lane| number(lane % BLOCK));
         let lane_y = std::array::from_fn(|lane| number(lane / BLOCK));
-        let block_x = std::array::from_fn(|b| number(origin[0] + b % TILE_BLOCKS * BLOCK));
-        let block_y = std::array::from_fn(|b| number(origin[1] + b / TILE_BLOCKS * BLOCK));
+        let block_x = std::array::from_fn(|b| number(origin[0] + b % TILE_COLUMNS * BLOCK));
+        let block_y = std::array::from_fn(|b| number(origin[1] + b / TILE_COLUMNS * BLOCK));
         // c^2 (x^2 + 1) and c^2 y^2 of the rays through the pixels of each column and row of blocks.
         let min_cos2 = T::from_f64(PLANE_MIN_COS * PLANE_MIN_COS);
-        let mut columns = [[T::ZERO; LANES]; TILE_BLOCKS];
-        let mut rows = [[T::ZERO; LANES]; TILE_BLOCKS];
-        for i in 0..TILE_BLOCKS {
+        let mut columns = [[T::ZERO; LANES]; TILE_COLUMNS];
+        let mut rows = [[T::ZERO; LANES]; TILE_ROWS];
+        for (column, lanes) in columns.iter_mut().enumerate() {
             for lane in 0..LANES {
-                let u = block_x[i] + lane_x[lane];
-                let v = block_y[i * TILE_BLOCKS] + lane_y[lane];
-                let x = (u - camera.center[0]) / camera.focal[0];
+                let x = (block_x[column] + lane_x[lane] - camera.center[0]) / camera.focal[0];
+                lanes[lane] = min_cos2 * (x * x + T::ONE);
+            }
+        }
+        for (row, lanes) in rows.iter_mut().enumerate() {
+            for lane in 0..LANES {
+                let v = block_y[row * TILE_COLUMNS] + lane_y[lane];
                 let y = (v - camera.center[1]) / camera.focal[1];
-                columns[i][lane] = min_cos2 * (x * x + T::ONE);
-                rows[i][lane] = min_cos2 * (y * y);
+                lanes[lane] = min_cos2 * (y * y);
             }
         }
         let min_n_ray = std::array::from_fn(|block| {
-            let (column, row) = (&columns[block % TILE_BLOCKS], &rows[block / TILE_BLOCKS]);
+            let (column, row) = (&columns[block % TILE_COLUMNS], &rows[block / TILE_COLUMNS]);
             std::array::from_fn(|lane| (column[lane] + row[lane]).sqrt())
         });
         Self {
@@ -100,9 +106,9 @@ impl<T: Real> TilePixels<T> {
     #[inline(always)]
     pub fn for_each_pixel(&self, grid: &TileGrid, mut visit: impl FnMut(usize, usize, usize)) {
         let [u0, v0] = self.origin;
-        for row in 0..TILE.min(grid.height - v0) {
-            for column in 0..TILE.min(grid.width - u0) {
-                let block = row / BLOCK * TILE_BLOCKS + column / BLOCK;
+        for row in 0..TILE_HEIGHT.min(grid.height - v0) {
+            for column in 0..TILE_WIDTH.min(grid.width - u0) {
+                let block = row / BLOCK * TILE_COLUMNS + column / BLOCK;
                 let lane = row % BLOCK * BLOCK + column % BLOCK;
                 visit(block, lane, row * grid.width + u0 + column);
             }

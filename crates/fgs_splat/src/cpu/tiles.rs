@@ -4,7 +4,7 @@
 //! its own list by depth, equally near ones by the order of the gaussians. Sizes of lists and their
 //! entries come from the same touches.
 
-use super::bounds::TileGrid;
+use super::bounds::{BlockSet, TileGrid};
 use super::chunks::{CHUNK, Chunk};
 use super::prefetch::prefetch;
 use super::project::Splat;
@@ -15,7 +15,7 @@ use super::real::Real;
 pub(super) struct Entry {
     /// Position among the splats.
     pub splat: u32,
-    pub blocks: u16,
+    pub blocks: BlockSet,
 }
 
 /// The lists of all tiles, one after the other: tile `t` has places `starts[t]..starts[t + 1]`.
