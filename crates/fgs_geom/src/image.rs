@@ -12,7 +12,7 @@ pub struct ImageSizeError {
 }
 
 /// `width` x `height` pixels, row-major: pixel (u, v) is at `v * width + u`.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Image<T> {
     width: usize,
     height: usize,

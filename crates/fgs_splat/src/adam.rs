@@ -15,6 +15,7 @@ use crate::gaussians::retain;
 use crate::{GaussianGradients, Gaussians};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
+use std::sync::LazyLock;
 use thiserror::Error;
 
 /// Decay of the first moment (Kingma and Ba 2015).
@@ -29,6 +30,8 @@ const DECAY_STEPS: f64 = 50.0;
 /// Far below any gradient: the loss is a mean over a million values, so that gradients near the
 /// customary 1e-8 are common and would be damped by it.
 const EPSILON: f32 = 1e-15;
+/// Steps whose corrections are worked out once: more than most gaussians ever make.
+const TABLED_STEPS: u32 = 1 << 14;
 /// Gaussians that one task moves, whatever the number of threads.
 const CHUNK: usize = 4096;
 
@@ -153,7 +156,10 @@ impl Adam {
             .par_iter()
             .with_min_len(CHUNK)
             .filter(|index| is_usable(gradients, **index as usize))
-            .map(|index| Active::new(*index, self.steps[*index as usize]))
+            .map(|index| Active {
+                index: *index,
+                corrections: Corrections::after(self.steps[*index as usize]),
+            })
             .collect();
         for gaussian in &active {
             let steps = &mut self.steps[gaussian.index as usize];
@@ -163,7 +169,7 @@ impl Adam {
         let (first, second) = (&mut self.first, &mut self.second);
         update(
             &active,
-            |gaussian| rates.means * gaussian.decay * gaussian.decay,
+            |decay| rates.means * decay * decay,
             &mut gaussians.means,
             &gradients.d_means,
             &mut first.means,
@@ -171,7 +177,7 @@ impl Adam {
         );
         update(
             &active,
-            |gaussian| rates.quats * gaussian.decay,
+            |decay| rates.quats * decay,
             &mut gaussians.quats,
             &gradients.d_quats,
             &mut first.quats,
@@ -179,7 +185,7 @@ impl Adam {
         );
         update(
             &active,
-            |gaussian| rates.log_scales * gaussian.decay,
+            |decay| rates.log_scales * decay,
             &mut gaussians.log_scales,
             &gradients.d_log_scales,
             &mut first.log_scales,
@@ -187,7 +193,7 @@ impl Adam {
         );
         update(
             &active,
-            |gaussian| rates.opacity_logits * gaussian.decay,
+            |decay| rates.opacity_logits * decay,
             gaussians.opacity_logits.as_chunks_mut::<1>().0,
             gradients.d_opacity_logits.as_chunks::<1>().0,
             first.opacity_logits.as_chunks_mut::<1>().0,
@@ -195,7 +201,7 @@ impl Adam {
         );
         update(
             &active,
-            |gaussian| rates.sh * gaussian.decay,
+            |decay| rates.sh * decay,
             &mut gaussians.sh,
             &gradients.d_sh,
             &mut first.sh,
@@ -215,9 +221,15 @@ fn is_usable(gradients: &GaussianGradients, i: usize) -> bool {
         && usable(&gradients.d_sh[i])
 }
 
-/// A gaussian to be moved, and what its number of steps makes of its moments.
+/// A gaussian to be moved.
 struct Active {
     index: u32,
+    corrections: Corrections,
+}
+
+/// What a gaussian's number of steps makes of its moments and learning rates.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Corrections {
     /// What is left of the learning rates (of the centres' its square).
     decay: f32,
     /// `1 / (1 - beta_1^t)`, the bias correction of the first moment.
@@ -226,11 +238,19 @@ struct Active {
     second_root: f32,
 }
 
-impl Active {
-    fn new(index: u32, steps_before: u32) -> Self {
+impl Corrections {
+    fn after(steps_before: u32) -> Self {
+        static TABLE: LazyLock<Vec<Corrections>> =
+            LazyLock::new(|| (0..TABLED_STEPS).map(Corrections::new).collect());
+        match TABLE.get(steps_before as usize) {
+            Some(tabled) => *tabled,
+            None => Self::new(steps_before),
+        }
+    }
+
+    fn new(steps_before: u32) -> Self {
         let steps = steps_before.min(i32::MAX as u32 - 1) as i32 + 1;
         Self {
-            index,
             decay: (1.0 + f64::from(steps_before) / DECAY_STEPS).sqrt().recip() as f32,
             first: (1.0 - BETA_1.powi(steps)).recip() as f32,
             second_root: (1.0 - BETA_2.powi(steps)).sqrt().recip() as f32,
@@ -238,10 +258,11 @@ impl Active {
     }
 }
 
-/// One step of one of the parameters' arrays. `active` ascends.
+/// One step of one of the parameters' arrays. `active` ascends; `rate` is the learning rate by what
+/// age has left of it.
 fn update<const K: usize>(
     active: &[Active],
-    rate: impl Fn(&Active) -> f32 + Sync,
+    rate: impl Fn(f32) -> f32 + Sync,
     params: &mut [[f32; K]],
     gradients: &[[f32; K]],
     first: &mut [[f32; K]],
@@ -258,14 +279,19 @@ fn update<const K: usize>(
             for gaussian in &active[position(start)..position(start + params.len())] {
                 let i = gaussian.index as usize;
                 let local = i - start;
-                let rate = rate(gaussian);
+                let Corrections {
+                    decay,
+                    first: correction,
+                    second_root,
+                } = gaussian.corrections;
+                let rate = rate(decay) * correction;
                 for k in 0..K {
                     let gradient = gradients[i][k];
                     let (m, v) = (&mut first[local][k], &mut second[local][k]);
                     *m = BETA_1 as f32 * *m + (1.0 - BETA_1) as f32 * gradient;
                     *v = BETA_2 as f32 * *v + (1.0 - BETA_2) as f32 * gradient * gradient;
-                    let root = v.sqrt() * gaussian.second_root;
-                    params[local][k] -= rate * gaussian.first * *m / (root + EPSILON);
+                    let root = v.sqrt() * second_root;
+                    params[local][k] -= rate * *m / (root + EPSILON);
                 }
             }
         });

@@ -28,6 +28,7 @@ pub struct CpuModel {
     removed: Vec<SparseId>,
     adam: Adam,
     rasterizer: Rasterizer,
+    cotangents: Cotangents,
     gradients: GaussianGradients,
     views: BTreeMap<ViewId, TrainingView>,
     next_view: usize,
@@ -134,20 +135,13 @@ impl GaussianModel for CpuModel {
     fn step(&mut self, id: ViewId) -> Result<(), ModelError> {
         let training = self.views.get_mut(&id).ok_or(ModelError::NoSuchView(id))?;
         let mut pass = self.rasterizer.render(&self.gaussians, &training.view);
-        let rendered = pass.rendered();
         let loss = photometric_loss(
-            &rendered.color,
-            &rendered.depth_m,
-            &rendered.alpha,
+            pass.rendered(),
             &training.target,
             &self.settings.loss,
+            &mut self.cotangents,
         )?;
-        let cotangents = Cotangents {
-            d_color: loss.d_color,
-            d_depth_m: loss.d_depth_m,
-            d_alpha: loss.d_alpha,
-        };
-        pass.vjp(&cotangents, &mut self.gradients);
+        pass.vjp(&self.cotangents, &mut self.gradients);
         let touched = &self.gradients.touched;
         training.visible = VisibleSet::from_indices(touched);
         for &index in touched {

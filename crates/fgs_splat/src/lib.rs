@@ -5,6 +5,7 @@ mod adam;
 mod cpu;
 mod cpu_model;
 mod gaussians;
+mod kernel;
 mod losses;
 mod model;
 mod ply;

@@ -67,7 +67,7 @@ impl Rendered {
 }
 
 /// The loss's derivatives by each image of [`Rendered`].
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct Cotangents<T = f32> {
     /// By the colour.
     pub d_color: Image<[T; 3]>,
@@ -86,6 +86,18 @@ impl<T: Copy + Default> Cotangents<T> {
             d_depth_m: Image::filled(width, height, T::default()),
             d_alpha: Image::filled(width, height, T::default()),
         }
+    }
+
+    /// Takes on a size; what the images hold is then of no meaning.
+    pub(crate) fn resize(&mut self, width: usize, height: usize) {
+        fn resize<X: Copy + Default>(image: &mut Image<X>, width: usize, height: usize) {
+            if (image.width(), image.height()) != (width, height) {
+                *image = Image::filled(width, height, X::default());
+            }
+        }
+        resize(&mut self.d_color, width, height);
+        resize(&mut self.d_depth_m, width, height);
+        resize(&mut self.d_alpha, width, height);
     }
 }
 

@@ -6,16 +6,16 @@ use std::hint::black_box;
 
 use super::bounds::{BLOCKS, TileGrid};
 use super::forward::TileState;
-use super::kernel::{Kernel, mul_add};
 use super::lanes::{LANES, Lanes};
 use super::project::{ScreenCamera, Splat};
 use super::project_vjp::{PixelSums, sum};
 use super::real::Real;
 use super::sample::{Sample, TilePixels};
 use super::tiles::{BATCH, Entry, load_splats, prefetch_splats};
+use crate::kernel::{Kernel, mul_add};
 use crate::rendering::{ALPHA_MAX, ALPHA_MIN};
 
-/// Differentiates one tile. Run it through [`super::kernel::dispatch`].
+/// Differentiates one tile. Run it through [`crate::kernel::dispatch`].
 pub(super) struct BlendTileVjp<'a, T: Real> {
     pub tile: usize,
     pub grid: &'a TileGrid,
@@ -55,6 +55,8 @@ struct Block<T> {
 type LaneSums<T> = [Lanes<T>; sum::OF_PIXELS];
 
 impl<T: Real> Kernel for BlendTileVjp<'_, T> {
+    type Output = ();
+
     #[inline(always)]
     fn run<const FUSED: bool>(self) {
         let last = self.entries.len().saturating_sub(1) / BATCH * BATCH;

@@ -3,13 +3,13 @@
 
 use super::bounds::{Support, TileGrid, Touch};
 use super::cull::Frustum;
-use super::kernel::Kernel;
 use super::lanes::{LANES, Lanes, column, set_column};
 use super::prefetch::prefetch;
 use super::project::{PARAMETERS, Parameters, Projection, SPLAT, ScreenCamera, Splat};
 use super::project_vjp::{PixelSums, SUMS, project_vjp, sum};
 use super::real::Real;
 use crate::Gaussians;
+use crate::kernel::Kernel;
 
 /// Gaussians of a chunk: large enough that starting a task costs nothing, small enough to spread.
 pub(super) const CHUNK: usize = 2048;
@@ -42,7 +42,7 @@ pub(super) struct Chunk {
     pub touched: Vec<u32>,
 }
 
-/// Projects the gaussians of a chunk. Run it through [`super::kernel::dispatch`].
+/// Projects the gaussians of a chunk. Run it through [`crate::kernel::dispatch`].
 pub(super) struct ProjectChunk<'a, T: Real> {
     pub gaussians: &'a Gaussians<T>,
     /// Index of the chunk's first gaussian.
@@ -56,6 +56,8 @@ pub(super) struct ProjectChunk<'a, T: Real> {
 }
 
 impl<T: Real> Kernel for ProjectChunk<'_, T> {
+    type Output = ();
+
     #[inline(always)]
     fn run<const FUSED: bool>(self) {
         let Chunk {
@@ -114,7 +116,7 @@ fn load_parameters<T: Real>(gaussians: &Gaussians<T>, indices: &[u32]) -> [Lanes
 }
 
 /// Adds up the sums of each gaussian of a chunk and carries them to its parameters. Run it
-/// through [`super::kernel::dispatch`].
+/// through [`crate::kernel::dispatch`].
 pub(super) struct ProjectChunkVjp<'a, T: Real> {
     pub gaussians: &'a Gaussians<T>,
     pub camera: &'a ScreenCamera<T>,
@@ -130,6 +132,8 @@ pub(super) struct ProjectChunkVjp<'a, T: Real> {
 }
 
 impl<T: Real> Kernel for ProjectChunkVjp<'_, T> {
+    type Output = ();
+
     #[inline(always)]
     fn run<const FUSED: bool>(self) {
         let Chunk {

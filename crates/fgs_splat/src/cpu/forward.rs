@@ -4,12 +4,12 @@
 //! is known of a block's pixels stays in registers meanwhile.
 
 use super::bounds::{BLOCKS, BlockSet, TileGrid};
-use super::kernel::{Kernel, mul_add};
 use super::lanes::{LANES, Lanes};
 use super::project::{ScreenCamera, Splat};
 use super::real::Real;
 use super::sample::{Sample, TilePixels};
 use super::tiles::{BATCH, Entry, load_splats, prefetch_splats, take_front};
+use crate::kernel::{Kernel, mul_add};
 use crate::rendering::{ALPHA_MAX, ALPHA_MIN, TRANSMITTANCE_MIN};
 
 /// What the backward pass needs to know of a tile's pixels.
@@ -31,7 +31,7 @@ impl<T: Real> Default for TileState<T> {
     }
 }
 
-/// Blends one tile. Run it through [`super::kernel::dispatch`].
+/// Blends one tile. Run it through [`crate::kernel::dispatch`].
 pub(super) struct BlendTile<'a, T: Real> {
     pub tile: usize,
     pub grid: &'a TileGrid,
@@ -62,6 +62,8 @@ struct Block<T> {
 }
 
 impl<T: Real> Kernel for BlendTile<'_, T> {
+    type Output = ();
+
     #[inline(always)]
     fn run<const FUSED: bool>(self) {
         let grid = self.grid;

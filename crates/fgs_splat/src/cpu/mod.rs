@@ -11,7 +11,6 @@ mod bounds;
 mod chunks;
 mod cull;
 mod forward;
-mod kernel;
 mod lanes;
 mod prefetch;
 mod project;
@@ -28,13 +27,13 @@ use bounds::{TILE_HEIGHT, TileGrid};
 use chunks::{CHUNK, Chunk, ProjectChunk};
 use cull::Frustum;
 use forward::{BlendTile, TileState};
-use kernel::dispatch;
 use project::{ScreenCamera, Splat};
 use project_vjp::PixelSums;
 pub use real::Real;
 pub use render_pass::RenderPass;
 use tiles::{TileLists, split_by_tile_row, take_front};
 
+use crate::kernel::dispatch;
 use crate::{Gaussians, Rendered};
 
 /// Renders gaussians. Owns the memory of a pass, so that passes of the same size allocate next to

@@ -6,10 +6,10 @@
 
 use fgs_geom::View;
 
-use super::kernel::mul_add;
 use super::real::Real;
 use crate::Gaussians;
 use crate::gaussians::SH0_FACTOR;
+use crate::kernel::mul_add;
 use crate::rendering::{
     ALPHA_MIN, FRUSTUM_MARGIN, LOW_PASS_PX2, MAX_MAGNITUDE, MAX_VARIANCE_PX2, MIN_QUAT_NORM2,
     NEAR_M,

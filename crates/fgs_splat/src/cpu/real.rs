@@ -6,7 +6,7 @@
 use std::fmt::Debug;
 use std::ops::{Add, AddAssign, Div, Mul, MulAssign, Neg, Sub};
 
-use super::kernel::mul_add;
+use crate::kernel::mul_add;
 
 /// `f32` or `f64`.
 pub trait Real:

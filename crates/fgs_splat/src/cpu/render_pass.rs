@@ -9,12 +9,12 @@ use super::Rasterizer;
 use super::backward::BlendTileVjp;
 use super::bounds::{TILE_HEIGHT, TileGrid};
 use super::chunks::{CHUNK, ProjectChunkVjp};
-use super::kernel::dispatch;
 use super::lanes::LANES;
 use super::project::ScreenCamera;
 use super::project_vjp::PixelSums;
 use super::real::Real;
 use super::tiles::{TileLists, split_by_tile_row, take_front};
+use crate::kernel::dispatch;
 use crate::{Cotangents, GaussianGradients, Gaussians, Rendered};
 
 /// A finished render, which can be differentiated. Borrows the gaussians, so that they cannot

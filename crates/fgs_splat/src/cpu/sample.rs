@@ -2,10 +2,10 @@
 //! same function, so that both see the same bits. Branch-free: runs over the lanes of a block.
 
 use super::bounds::{BLOCK, BLOCKS, TILE_COLUMNS, TILE_HEIGHT, TILE_ROWS, TILE_WIDTH, TileGrid};
-use super::kernel::mul_add;
 use super::lanes::{LANES, Lanes};
 use super::project::{ScreenCamera, Splat};
 use super::real::Real;
+use crate::kernel::mul_add;
 use crate::rendering::PLANE_MIN_COS;
 
 /// A splat evaluated at a pixel.

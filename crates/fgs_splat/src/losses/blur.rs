@@ -5,6 +5,8 @@
 //! as in the SSIM that gaussian splatting trains with. The symmetric taps share their factor.
 //! The loops are written for the compiler to vectorise: no branch, slices of one length.
 
+use crate::kernel::mul_add;
+
 /// Pixels on either side of the window's centre: 11 taps (Wang et al. 2004).
 pub const RADIUS: usize = 5;
 /// Taps.
@@ -28,13 +30,18 @@ pub fn window() -> [f32; RADIUS + 1] {
 
 /// `out = sum_k w_k rows_k`, element by element.
 #[inline(always)]
-pub fn blur_down(weights: &[f32; RADIUS + 1], rows: [&[f32]; TAPS], out: &mut [f32]) {
+pub fn blur_down<const FUSED: bool>(
+    weights: &[f32; RADIUS + 1],
+    rows: [&[f32]; TAPS],
+    out: &mut [f32],
+) {
     let n = out.len();
     let rows = rows.map(|row| &row[..n]);
     for i in 0..n {
         let mut sum = weights[RADIUS] * rows[RADIUS][i];
         for tap in 0..RADIUS {
-            sum += weights[tap] * (rows[tap][i] + rows[TAPS - 1 - tap][i]);
+            let pair = rows[tap][i] + rows[TAPS - 1 - tap][i];
+            sum = mul_add::<FUSED, f32>(weights[tap], pair, sum);
         }
         out[i] = sum;
     }
@@ -42,7 +49,7 @@ pub fn blur_down(weights: &[f32; RADIUS + 1], rows: [&[f32]; TAPS], out: &mut [f
 
 /// As [`blur_down`], for the rows and for their squares.
 #[inline(always)]
-pub fn blur_down_with_squares(
+pub fn blur_down_with_squares<const FUSED: bool>(
     weights: &[f32; RADIUS + 1],
     rows: [&[f32]; TAPS],
     out: &mut [f32],
@@ -57,8 +64,9 @@ pub fn blur_down_with_squares(
         let mut squares = sum * center;
         for tap in 0..RADIUS {
             let (above, below) = (rows[tap][i], rows[TAPS - 1 - tap][i]);
-            sum += weights[tap] * (above + below);
-            squares += weights[tap] * (above * above + below * below);
+            let pair = mul_add::<FUSED, f32>(above, above, below * below);
+            sum = mul_add::<FUSED, f32>(weights[tap], above + below, sum);
+            squares = mul_add::<FUSED, f32>(weights[tap], pair, squares);
         }
         out[i] = sum;
         out_squares[i] = squares;
@@ -67,9 +75,9 @@ pub fn blur_down_with_squares(
 
 /// Blurs along a row. `padded` holds [`PADDING`] zeros, the row and [`PADDING`] zeros.
 #[inline(always)]
-pub fn blur_along(weights: &[f32; RADIUS + 1], padded: &[f32], out: &mut [f32]) {
+pub fn blur_along<const FUSED: bool>(weights: &[f32; RADIUS + 1], padded: &[f32], out: &mut [f32]) {
     let n = out.len();
-    blur_down(
+    blur_down::<FUSED>(
         weights,
         std::array::from_fn(|tap| &padded[tap * CHANNELS..][..n]),
         out,

@@ -10,6 +10,7 @@
 
 use super::blur::{CHANNELS, RADIUS, TAPS};
 use super::{LossSettings, Target, l1, ssim::Ssim};
+use crate::kernel::{Kernel, dispatch};
 use fgs_geom::{Image, has_depth};
 use rayon::prelude::*;
 
@@ -31,21 +32,22 @@ pub struct ColorLoss {
     pub dissimilarity: f64,
 }
 
-/// Both losses, and the derivative of their weighted sum by the rendered colour.
+/// Both losses. The derivative of their weighted sum by the rendered colour goes to `d_color`.
 pub fn color_loss(
     color: &Image<[f32; 3]>,
     target: &Target,
     settings: &LossSettings,
-) -> (ColorLoss, Image<[f32; 3]>) {
+    d_color: &mut Image<[f32; 3]>,
+) -> ColorLoss {
     let (width, height) = (color.width(), color.height());
-    let mut d_color = Image::filled(width, height, [0.0; 3]);
     let pixels = if settings.mask_color_by_depth {
         target.measured
     } else {
         width * height
     };
     if pixels == 0 {
-        return (ColorLoss::default(), d_color);
+        d_color.data_mut().fill([0.0; 3]);
+        return ColorLoss::default();
     }
     let count = (pixels * CHANNELS) as f64;
     let weights = Weights {
@@ -59,7 +61,7 @@ pub fn color_loss(
         .map_init(
             || Strip::new(width * CHANNELS),
             |strip, (index, d_color)| {
-                pulp::Arch::new().dispatch(StripLoss {
+                dispatch(StripLoss {
                     strip,
                     color,
                     target,
@@ -71,11 +73,10 @@ pub fn color_loss(
             },
         )
         .collect();
-    let loss = ColorLoss {
+    ColorLoss {
         l1: sums.iter().map(|s| s.l1).sum::<f64>() / count,
         dissimilarity: sums.iter().map(|s| s.dissimilarity).sum::<f64>() / count,
-    };
-    (loss, d_color)
+    }
 }
 
 /// Weights of the two losses, divided by the number of values.
@@ -95,16 +96,15 @@ struct StripLoss<'a> {
     d_color: &'a mut [f32],
 }
 
-impl pulp::WithSimd for StripLoss<'_> {
+impl Kernel for StripLoss<'_> {
     type Output = ColorLoss;
 
-    // A closure would do, but nothing makes the compiler inline one into the function that has
-    // the instruction set.
     #[inline(always)]
-    fn with_simd<S: pulp::Simd>(self, _: S) -> ColorLoss {
+    fn run<const FUSED: bool>(self) -> ColorLoss {
         self.strip
             .load(self.color, self.target, self.masked, self.first_row);
-        self.strip.differentiate(self.weights, self.d_color)
+        self.strip
+            .differentiate::<FUSED>(self.weights, self.d_color)
     }
 }
 
@@ -171,7 +171,11 @@ impl Strip {
 
     /// Sums of the two losses over the strip; their weighted derivatives go to `d_color`.
     #[inline(always)]
-    fn differentiate(&mut self, weights: &Weights, d_color: &mut [f32]) -> ColorLoss {
+    fn differentiate<const FUSED: bool>(
+        &mut self,
+        weights: &Weights,
+        d_color: &mut [f32],
+    ) -> ColorLoss {
         let n = self.row_len;
         let Self {
             difference,
@@ -187,7 +191,7 @@ impl Strip {
         let [by_mean, by_dd, by_ss] = d_moments;
         for row in 0..own_rows + 2 * RADIUS {
             let moments = row * n..(row + 1) * n;
-            ssim.forward(
+            ssim.forward::<FUSED>(
                 window(difference, n, row),
                 window(sum, n, row),
                 &valid[(row + RADIUS) * n..][..n],
@@ -206,7 +210,7 @@ impl Strip {
             let center = (row + 2 * RADIUS) * n..(row + 2 * RADIUS + 1) * n;
             let difference = &difference[center.clone()];
             let valid = &valid[center.clone()];
-            ssim.backward(
+            ssim.backward::<FUSED>(
                 [&*by_mean, &*by_dd, &*by_ss].map(|rows| window(rows, n, row)),
                 difference,
                 &sum[center],

@@ -15,22 +15,15 @@ const MIN_ALPHA: f32 = 0.05;
 /// Pixels that are summed together, whatever the number of threads.
 const CHUNK: usize = 16 * 1024;
 
-pub struct DepthLoss {
-    /// Mean over measured pixels, in units of 10 m; 0 if there is none.
-    pub value: f64,
-    pub d_depth_m: Image<f32>,
-    pub d_alpha: Image<f32>,
-}
-
+/// The mean over measured pixels, in units of 10 m; 0 if there is none.
 pub fn depth_loss(
     depth_m: &Image<f32>,
     alpha: &Image<f32>,
     target: &Target,
     settings: &LossSettings,
-) -> DepthLoss {
-    let (width, height) = (depth_m.width(), depth_m.height());
-    let mut d_depth_m = Image::filled(width, height, 0.0);
-    let mut d_alpha = Image::filled(width, height, 0.0);
+    d_depth_m: &mut Image<f32>,
+    d_alpha: &mut Image<f32>,
+) -> f64 {
     let count = target.measured.max(1) as f64;
     let weight = settings.depth_weight / (count as f32 * DEPTH_UNIT_M);
     let sums: Vec<f64> = d_depth_m
@@ -43,6 +36,7 @@ pub fn depth_loss(
         .map(|((((d_depth, d_alpha), depth), alpha), measured)| {
             let mut sum = 0.0;
             for i in 0..depth.len() {
+                (d_depth[i], d_alpha[i]) = (0.0, 0.0);
                 if !has_depth(measured[i]) {
                     continue;
                 }
@@ -62,9 +56,5 @@ pub fn depth_loss(
             sum
         })
         .collect();
-    DepthLoss {
-        value: sums.iter().sum::<f64>() / (count * f64::from(DEPTH_UNIT_M)),
-        d_depth_m,
-        d_alpha,
-    }
+    sums.iter().sum::<f64>() / (count * f64::from(DEPTH_UNIT_M))
 }

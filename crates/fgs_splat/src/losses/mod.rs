@@ -19,6 +19,7 @@ mod tests;
 
 pub use regularizer::scale_regularizer;
 
+use crate::{Cotangents, Rendered};
 use fgs_geom::{Image, has_depth};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -90,8 +91,8 @@ impl Target {
     }
 }
 
-/// The loss of one view, without the regulariser, and its derivatives by the rendered values.
-#[derive(Clone, Debug, PartialEq)]
+/// The loss of one view, without the regulariser.
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ImageLoss {
     /// Weighted sum of the three parts.
     pub total: f64,
@@ -101,12 +102,6 @@ pub struct ImageLoss {
     pub ssim: f64,
     /// Mean absolute depth error over measured pixels, in units of 10 m.
     pub depth: f64,
-    /// Derivative of `total` by the rendered colour.
-    pub d_color: Image<[f32; 3]>,
-    /// Derivative of `total` by the rendered depth, per metre.
-    pub d_depth_m: Image<f32>,
-    /// Derivative of `total` by the rendered alpha: zero unless depth is normalised.
-    pub d_alpha: Image<f32>,
 }
 
 /// Why there is no loss.
@@ -146,20 +141,23 @@ pub enum LossError {
 /// 1e3 m), and below it no square or product in the loss overflows.
 const MAX_RENDERED: f32 = 1e4;
 
-/// Compares a render with its target, Eq. (16) without the regulariser.
-///
-/// `color` is about 0..1; `depth_m` is the sum of `weight * z` along each ray (metres), `alpha` the
-/// sum of the weights. An image without a valid pixel has no loss and no derivatives.
+/// Compares a render with its target, Eq. (16) without the regulariser, and writes the derivatives
+/// of its total to `cotangents`, whatever they were: those by alpha are zero unless depth is
+/// normalised. An image without a valid pixel has no loss and no derivatives.
 ///
 /// # Errors
 /// If an image's size is not the target's, or a rendered value is not finite or above 1e4.
 pub fn photometric_loss(
-    color: &Image<[f32; 3]>,
-    depth_m: &Image<f32>,
-    alpha: &Image<f32>,
+    rendered: &Rendered,
     target: &Target,
     settings: &LossSettings,
+    cotangents: &mut Cotangents,
 ) -> Result<ImageLoss, LossError> {
+    let Rendered {
+        color,
+        depth_m,
+        alpha,
+    } = rendered;
     check_size("rendered colour", color, &target.color)?;
     check_size("rendered depth", depth_m, &target.color)?;
     check_size("rendered alpha", alpha, &target.color)?;
@@ -167,18 +165,23 @@ pub fn photometric_loss(
     check_range("depth", depth_m.data(), depth_m.width(), 1)?;
     check_range("alpha", alpha.data(), alpha.width(), 1)?;
 
-    let (color_loss, d_color) = color::color_loss(color, target, settings);
-    let depth_loss = depth::depth_loss(depth_m, alpha, target, settings);
+    cotangents.resize(color.width(), color.height());
+    let color_loss = color::color_loss(color, target, settings, &mut cotangents.d_color);
+    let depth_loss = depth::depth_loss(
+        depth_m,
+        alpha,
+        target,
+        settings,
+        &mut cotangents.d_depth_m,
+        &mut cotangents.d_alpha,
+    );
     Ok(ImageLoss {
         total: f64::from(settings.l1_weight) * color_loss.l1
             + f64::from(settings.ssim_weight) * color_loss.dissimilarity
-            + f64::from(settings.depth_weight) * depth_loss.value,
+            + f64::from(settings.depth_weight) * depth_loss,
         l1: color_loss.l1,
         ssim: 1.0 - color_loss.dissimilarity,
-        depth: depth_loss.value,
-        d_color,
-        d_depth_m: depth_loss.d_depth_m,
-        d_alpha: depth_loss.d_alpha,
+        depth: depth_loss,
     })
 }
 

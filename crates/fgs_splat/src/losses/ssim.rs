@@ -37,7 +37,7 @@ impl Ssim {
     /// `valid * (1 - SSIM)` of the row in the middle of `d` and `s`, and its derivatives by the
     /// moments.
     #[inline(always)]
-    pub fn forward(
+    pub fn forward<const FUSED: bool>(
         &mut self,
         d: [&[f32]; TAPS],
         s: [&[f32]; TAPS],
@@ -51,14 +51,14 @@ impl Ssim {
         let [m_d, m_s, e_dd, e_ss] = &mut self.maps;
         for (rows, mean, mean_square) in [(d, &mut *m_d, &mut *e_dd), (s, &mut *m_s, &mut *e_ss)] {
             let inside = PADDING..PADDING + n;
-            blur::blur_down_with_squares(
+            blur::blur_down_with_squares::<FUSED>(
                 weights,
                 rows,
                 &mut padded[inside.clone()],
                 &mut padded_squares[inside],
             );
-            blur::blur_along(weights, padded, &mut mean[..n]);
-            blur::blur_along(weights, padded_squares, &mut mean_square[..n]);
+            blur::blur_along::<FUSED>(weights, padded, &mut mean[..n]);
+            blur::blur_along::<FUSED>(weights, padded_squares, &mut mean_square[..n]);
         }
 
         let (m_d, m_s, e_dd, e_ss) = (&m_d[..n], &m_s[..n], &e_dd[..n], &e_ss[..n]);
@@ -93,7 +93,7 @@ impl Ssim {
     /// `d_x`: the derivative of the sum of `1 - SSIM` over valid pixels by a row of `x`.
     /// `d` and `s` are that row, `d_moments` the rows around it.
     #[inline(always)]
-    pub fn backward(
+    pub fn backward<const FUSED: bool>(
         &mut self,
         d_moments: [[&[f32]; TAPS]; 3],
         d: &[f32],
@@ -104,8 +104,8 @@ impl Ssim {
         let n = d_x.len();
         let padded = &mut self.padded[0];
         for (rows, map) in d_moments.into_iter().zip(&mut self.maps) {
-            blur::blur_down(&self.weights, rows, &mut padded[PADDING..][..n]);
-            blur::blur_along(&self.weights, padded, &mut map[..n]);
+            blur::blur_down::<FUSED>(&self.weights, rows, &mut padded[PADDING..][..n]);
+            blur::blur_along::<FUSED>(&self.weights, padded, &mut map[..n]);
         }
         let [by_mean, by_dd, by_ss, _] = &self.maps;
         let (by_mean, by_dd, by_ss) = (&by_mean[..n], &by_dd[..n], &by_ss[..n]);

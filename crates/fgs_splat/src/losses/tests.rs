@@ -45,16 +45,45 @@ fn scene(width: usize, height: usize, seed: u64) -> Scene {
     }
 }
 
+/// A loss and its derivatives.
+#[derive(Debug, PartialEq)]
+struct Loss {
+    total: f64,
+    l1: f64,
+    ssim: f64,
+    depth: f64,
+    d_color: Image<[f32; 3]>,
+    d_depth_m: Image<f32>,
+    d_alpha: Image<f32>,
+}
+
 impl Scene {
-    fn loss(&self, settings: &LossSettings) -> ImageLoss {
-        photometric_loss(
-            &self.color,
-            &self.depth_m,
-            &self.alpha,
-            &self.target,
-            settings,
-        )
-        .unwrap()
+    fn try_loss(&self, settings: &LossSettings) -> Result<Loss, LossError> {
+        let rendered = Rendered {
+            color: self.color.clone(),
+            depth_m: self.depth_m.clone(),
+            alpha: self.alpha.clone(),
+        };
+        // Whatever is left over from another loss must not matter.
+        let mut cotangents = Cotangents {
+            d_color: Image::filled(WIDTH, HEIGHT, [7.0; 3]),
+            d_depth_m: Image::filled(WIDTH, HEIGHT, 7.0),
+            d_alpha: Image::filled(WIDTH, HEIGHT, 7.0),
+        };
+        let loss = photometric_loss(&rendered, &self.target, settings, &mut cotangents)?;
+        Ok(Loss {
+            total: loss.total,
+            l1: loss.l1,
+            ssim: loss.ssim,
+            depth: loss.depth,
+            d_color: cotangents.d_color,
+            d_depth_m: cotangents.d_depth_m,
+            d_alpha: cotangents.d_alpha,
+        })
+    }
+
+    fn loss(&self, settings: &LossSettings) -> Loss {
+        self.try_loss(settings).unwrap()
     }
 }
 
@@ -317,13 +346,7 @@ fn extreme_values_are_refused_or_finite() {
     for value in [1e38, f32::NAN, f32::NEG_INFINITY] {
         let mut scene = self::scene(WIDTH, HEIGHT, 8);
         scene.color.set(4, 9, [0.5, 0.5, value]);
-        let loss = photometric_loss(
-            &scene.color,
-            &scene.depth_m,
-            &scene.alpha,
-            &scene.target,
-            &settings,
-        );
+        let loss = scene.try_loss(&settings);
         let message = loss.unwrap_err().to_string();
         assert!(message.contains("colour at pixel (4, 9)"), "{message}");
     }
@@ -342,13 +365,7 @@ fn nothing_measured_and_wrong_sizes() {
     assert_eq!((loss.total, loss.ssim), (0.0, 1.0));
     assert!(Target::new(color, Image::filled(HEIGHT, WIDTH, 0.0)).is_err());
     scene.alpha = Image::filled(WIDTH, HEIGHT - 1, 0.0);
-    let loss = photometric_loss(
-        &scene.color,
-        &scene.depth_m,
-        &scene.alpha,
-        &scene.target,
-        &LossSettings::default(),
-    );
+    let loss = scene.try_loss(&LossSettings::default());
     assert!(matches!(loss, Err(LossError::Size { .. })));
 }
 

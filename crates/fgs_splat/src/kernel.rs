@@ -6,16 +6,18 @@
 
 use pulp::{Arch, NullaryFnOnce};
 
-use super::real::Real;
+use crate::Real;
 
 /// Work that is compiled for each instruction set.
-pub(super) trait Kernel {
+pub(crate) trait Kernel {
+    type Output;
+
     /// Does the work. Everything it calls must be `#[inline(always)]`.
-    fn run<const FUSED: bool>(self);
+    fn run<const FUSED: bool>(self) -> Self::Output;
 }
 
 /// Runs a kernel.
-pub(super) fn dispatch(kernel: impl Kernel) {
+pub(crate) fn dispatch<K: Kernel>(kernel: K) -> K::Output {
     match Arch::new() {
         Arch::Scalar => Plain(kernel).call(),
         arch => arch.dispatch(Fused(kernel)),
@@ -25,28 +27,28 @@ pub(super) fn dispatch(kernel: impl Kernel) {
 struct Fused<K>(K);
 
 impl<K: Kernel> NullaryFnOnce for Fused<K> {
-    type Output = ();
+    type Output = K::Output;
 
     #[inline(always)]
-    fn call(self) {
-        self.0.run::<true>();
+    fn call(self) -> K::Output {
+        self.0.run::<true>()
     }
 }
 
 struct Plain<K>(K);
 
 impl<K: Kernel> NullaryFnOnce for Plain<K> {
-    type Output = ();
+    type Output = K::Output;
 
     #[inline(always)]
-    fn call(self) {
-        self.0.run::<false>();
+    fn call(self) -> K::Output {
+        self.0.run::<false>()
     }
 }
 
 /// a b + c.
 #[inline(always)]
-pub(super) fn mul_add<const FUSED: bool, T: Real>(a: T, b: T, c: T) -> T {
+pub(crate) fn mul_add<const FUSED: bool, T: Real>(a: T, b: T, c: T) -> T {
     if FUSED {
         a.fused_mul_add(b, c)
     } else {
