@@ -7,11 +7,11 @@
 //! depend on the order of insertion.
 
 use std::collections::HashMap;
-use std::hash::{BuildHasherDefault, Hasher};
+use std::hash::{BuildHasherDefault, Hash, Hasher};
 
 use nalgebra::Vector3;
 
-use super::cell::CellPoints;
+use super::cell::{CellPoints, NearestTwo};
 use crate::Point;
 
 /// A point of the map found by a search.
@@ -38,7 +38,7 @@ pub struct PointMap {
 }
 
 /// Integer coordinates of a cell.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Cell {
     x: i32,
     y: i32,
@@ -121,14 +121,16 @@ impl PointMap {
     #[inline]
     pub fn nearest(&self, query: &Vector3<f32>, max_distance_m: f32) -> Option<Neighbor<'_>> {
         let found = self.search(query, max_distance_m, 0.0);
-        let slot = found.slot?;
-        (found.squared_distance <= max_distance_m * max_distance_m)
-            .then(|| self.neighbor(slot, found.squared_distance))
+        let squared_distance = found.squared_distance();
+        (squared_distance <= max_distance_m * max_distance_m).then(|| {
+            let slot = self.smallest_id(query, &found);
+            self.neighbor(slot, squared_distance)
+        })
     }
 
     /// The nearest point at most `max_distance_m` away, with a radius in which it stays so. That
     /// radius is at most half of `margin_m`; larger ones take longer to find.
-    #[inline]
+    #[inline(always)]
     pub(crate) fn lasting_nearest(
         &self,
         query: &Vector3<f32>,
@@ -136,18 +138,16 @@ impl PointMap {
         margin_m: f32,
     ) -> LastingNearest {
         let found = self.search(query, max_distance_m, margin_m);
-        let distance = found.squared_distance.sqrt();
-        let (slot, radius) = match found.slot {
-            Some(slot) if distance <= max_distance_m => {
-                // No other point is nearer than this: those beyond the margin were not looked at.
-                let next = found.next_squared_distance.sqrt().min(distance + margin_m);
-                let stays_nearest = 0.5 * (next - distance);
-                (Some(slot), stays_nearest.min(max_distance_m - distance))
-            }
-            _ => (
-                None,
-                distance.min(max_distance_m + margin_m) - max_distance_m,
-            ),
+        let distance = found.squared_distance().sqrt();
+        let (slot, radius) = if distance <= max_distance_m {
+            // No other point is nearer than this: those beyond the margin were not looked at.
+            let next = found.next_squared_distance().sqrt();
+            let stays_nearest = 0.5 * (next.min(distance + margin_m) - distance);
+            let slot = self.smallest_id(query, &found);
+            (Some(slot), stays_nearest.min(max_distance_m - distance))
+        } else {
+            let stays_away = distance.min(max_distance_m + margin_m) - max_distance_m;
+            (None, stays_away)
         };
         LastingNearest {
             slot,
@@ -175,13 +175,10 @@ impl PointMap {
             let Some(points) = self.cells.get(&cell) else {
                 return;
             };
-            points.for_groups_within(query, limit, |squared_distances, slots| {
-                let near = squared_distances
-                    .iter()
-                    .zip(slots)
-                    .filter(|(d, _)| **d <= limit);
-                found.extend(near.map(|(&d, &slot)| self.neighbor(slot, d)));
-                limit
+            points.for_each(query, |squared_distance, slot| {
+                if squared_distance <= limit {
+                    found.push(self.neighbor(slot, squared_distance));
+                }
             });
         });
         found.sort_by(|a, b| {
@@ -203,56 +200,68 @@ impl PointMap {
 
     /// The nearest and the next nearest point, exact as far as `max_distance_m + margin_m`, the
     /// next one also only as far as the nearest's distance plus the margin.
-    #[inline]
-    fn search(&self, query: &Vector3<f32>, max_distance_m: f32, margin_m: f32) -> Search {
-        let mut search = Search {
-            limit: (max_distance_m + margin_m).powi(2),
-            margin_m,
-            squared_distance: f32::INFINITY,
-            next_squared_distance: f32::INFINITY,
-            slot: None,
-        };
+    #[inline(always)]
+    fn search(&self, query: &Vector3<f32>, max_distance_m: f32, margin_m: f32) -> NearestTwo {
+        let mut found = NearestTwo::NONE;
         let own = self.cell_of(query);
-        self.search_cell(own, query, &mut search);
+        if let Some(points) = self.cells.get(&own) {
+            found.add(points, query);
+        }
+        let reach = (max_distance_m + margin_m).powi(2);
+        // Points beyond this squared distance are of no interest. Not below the nearest point
+        // itself by rounding: its equals are to be met too.
+        let limit_of = |found: &NearestTwo| {
+            let nearest = found.squared_distance();
+            reach.min((nearest.sqrt() + margin_m).powi(2).max(nearest))
+        };
+        let mut limit = limit_of(&found);
         // What the own cell holds usually leaves few other cells, if any, within reach.
-        self.for_cells_within(query, search.limit.sqrt(), |cell, squared_gap| {
-            if cell != own && squared_gap <= search.limit {
-                self.search_cell(cell, query, &mut search);
-            }
-        });
-        search
+        self.for_cells_within(
+            query,
+            limit.sqrt(),
+            #[inline(always)]
+            |cell, squared_gap| {
+                if cell != own
+                    && squared_gap <= limit
+                    && let Some(points) = self.cells.get(&cell)
+                {
+                    found.add(points, query);
+                    limit = limit_of(&found);
+                }
+            },
+        );
+        found
     }
 
-    #[inline]
-    fn search_cell(&self, cell: Cell, query: &Vector3<f32>, search: &mut Search) {
-        let Some(points) = self.cells.get(&cell) else {
-            return;
-        };
+    /// Of the nearest points that a search has found, the one with the smallest id.
+    #[inline(always)]
+    fn smallest_id(&self, query: &Vector3<f32>, found: &NearestTwo) -> u32 {
+        let nearest = found.squared_distance();
+        if found.next_squared_distance() > nearest {
+            return found.slot();
+        }
+        self.smallest_id_at(query, nearest, found.slot())
+    }
+
+    /// Of the points at a squared distance, `slot` among them, the one with the smallest id.
+    #[cold]
+    fn smallest_id_at(&self, query: &Vector3<f32>, squared_distance: f32, mut slot: u32) -> u32 {
         let id = |slot: u32| self.slots[slot as usize].0;
-        points.for_groups_within(query, search.limit, |squared_distances, slots| {
-            for (&squared, &slot) in squared_distances.iter().zip(slots) {
-                let nearest = search.squared_distance;
-                if squared < nearest && squared <= search.limit {
-                    search.squared_distance = squared;
-                    search.next_squared_distance = nearest;
-                    search.slot = Some(slot);
-                    // Not below the point itself by rounding: its equals are to be met too.
-                    let limit = (squared.sqrt() + search.margin_m).powi(2).max(squared);
-                    search.limit = search.limit.min(limit);
-                } else if squared <= search.limit {
-                    search.next_squared_distance = search.next_squared_distance.min(squared);
-                    if squared == nearest && search.slot.is_none_or(|other| id(slot) < id(other)) {
-                        search.slot = Some(slot);
+        self.for_cells_within(query, squared_distance.sqrt(), |cell, _| {
+            if let Some(points) = self.cells.get(&cell) {
+                points.for_each(query, |squared, other| {
+                    if squared == squared_distance && id(other) < id(slot) {
+                        slot = other;
                     }
-                }
+                });
             }
-            search.limit
         });
+        slot
     }
 
     /// Calls `visit(cell, squared_gap)` with every cell that may hold a point within `distance_m`
     /// of `query`. No point of the cell is nearer than the gap.
-    #[inline]
+    #[inline(always)]
     fn for_cells_within(
         &self,
         query: &Vector3<f32>,
@@ -311,16 +320,6 @@ fn rounding_m(query: &Vector3<f32>, distance_m: f32) -> f32 {
     4.0 * f32::EPSILON * (query.amax() + distance_m)
 }
 
-/// A search under way.
-struct Search {
-    /// Points beyond this squared distance are of no interest.
-    limit: f32,
-    margin_m: f32,
-    squared_distance: f32,
-    next_squared_distance: f32,
-    slot: Option<u32>,
-}
-
 /// The nearest point within a distance, and for how far around the query it stays so.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct LastingNearest {
@@ -346,27 +345,39 @@ impl LastingNearest {
     }
 }
 
-/// Mixes the three coordinates by multiplication: neighbouring cells differ in low bits, which the
-/// table's index must depend on. Fixed, so that runs repeat.
+impl Hash for Cell {
+    /// Neighbouring cells differ in low bits, which a multiplication carries up. The odd factors'
+    /// bits are well mixed: 2^64 over the three-dimensional golden ratio and its powers.
+    #[inline]
+    fn hash<H: Hasher>(&self, state: &mut H) {
+        let factors = [
+            0xd1b5_4a32_d192_ed03_u64,
+            0xabc9_8388_fb8f_ac03,
+            0x8cb9_2ba7_2f3d_8dd7,
+        ];
+        let mixed = [self.x, self.y, self.z]
+            .into_iter()
+            .zip(factors)
+            .fold(0, |sum: u64, (x, factor)| {
+                sum.wrapping_add((x as u64).wrapping_mul(factor))
+            });
+        state.write_u64(mixed);
+    }
+}
+
+/// Takes a cell's hash as it is, but for the low bits, which a multiplication mixes least and the
+/// table uses most. Fixed, so that runs repeat.
 #[derive(Default)]
 struct CellHasher(u64);
 
 impl Hasher for CellHasher {
     fn write(&mut self, bytes: &[u8]) {
-        for &byte in bytes {
-            self.write_u64(u64::from(byte));
-        }
-    }
-
-    #[inline]
-    fn write_i32(&mut self, value: i32) {
-        self.write_u64(u64::from(value as u32));
+        bytes.iter().for_each(|&byte| self.write_u64(byte.into()));
     }
 
     #[inline]
     fn write_u64(&mut self, value: u64) {
-        // An odd constant with well-mixed bits: 2^64 over the golden ratio.
-        self.0 = (self.0.rotate_left(23) ^ value).wrapping_mul(0x9e37_79b9_7f4a_7c15);
+        self.0 = self.0.rotate_left(23) ^ value;
     }
 
     #[inline]
