@@ -69,13 +69,17 @@ fn align_sample(
         return None;
     }
     let sample: Vec<Point> = source.iter().step_by(step).copied().collect();
+    // Smaller steps are below what the sample tells.
+    let coarse = Settings::default();
     let settings = Settings {
         max_iterations: settings.max_iterations.min(MAX_SAMPLE_ITERATIONS),
-        ..Settings {
-            rotation_epsilon_rad: Settings::default().rotation_epsilon_rad,
-            translation_epsilon_m: Settings::default().translation_epsilon_m,
-            ..*settings
-        }
+        rotation_epsilon_rad: settings
+            .rotation_epsilon_rad
+            .max(coarse.rotation_epsilon_rad),
+        translation_epsilon_m: settings
+            .translation_epsilon_m
+            .max(coarse.translation_epsilon_m),
+        ..*settings
     };
     let alignment = align_all(&sample, target, initial, &settings).ok()?;
     alignment.converged.then_some(alignment.target_from_source)
