@@ -129,13 +129,20 @@ fn a_sample_first_changes_nothing_but_the_time() {
     }
 }
 
-/// A sample in which most points are outliers, and one of too few points.
+/// One of too few points, one that does not settle, and one of outliers.
 #[test]
 fn a_sample_that_misleads_is_not_followed() {
     let points = view(&corner(), &Se3::identity());
     let few = &points[..2 * SAMPLE_POINTS - 1];
     let (target, start) = (map_of(&points), Se3::identity());
     assert!(align_sample(few, &target, &start, &precise()).is_none());
+    // One linearisation is too few to settle.
+    let once = Settings {
+        max_iterations: 1,
+        ..precise()
+    };
+    let moved = view(&corner(), &motions()[3]);
+    assert!(align_sample(&moved, &target, &start, &once).is_none());
     let step = points.len() / SAMPLE_POINTS;
     let mut source = points.clone();
     for point in source.iter_mut().step_by(step) {
