@@ -93,11 +93,17 @@ fn equals_the_normal_equations_whatever_the_lane() {
 }
 
 #[test]
-fn pixels_on_a_line_give_no_plane() {
-    let depth_m = Image::from_fn(30, 20, |u, _| if u == 12 { 1.0 } else { 0.0 });
+fn three_pixels_give_a_plane_unless_on_a_line() {
+    let pixels = |all: &[(usize, usize)]| {
+        Image::from_fn(30, 20, |u, v| if all.contains(&(u, v)) { 1.0 } else { 0.0 })
+    };
     let grid = DepthGrid {
         min_support: 0.0,
         ..DepthGrid::default()
     };
-    assert!(fit_planes(&grid, &depth_m, [12], 9)[0].is_none());
+    let plane = |all: &[(usize, usize)]| fit_planes(&grid, &pixels(all), [12], 9)[0];
+    assert!(plane(&[(12, 9), (14, 9)]).is_none());
+    assert!(plane(&[(12, 9), (14, 9), (16, 9)]).is_none());
+    assert!(plane(&[(12, 9), (14, 11), (16, 13), (10, 7)]).is_none());
+    assert!((plane(&[(12, 9), (14, 9), (12, 7)]).unwrap().center - 1.0).abs() <= 1e-6);
 }

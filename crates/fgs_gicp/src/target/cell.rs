@@ -86,7 +86,7 @@ impl CellPoints {
         self.groups.truncate(self.len.div_ceil(LANES));
     }
 
-    /// Calls `visit(squared_distance, slot)` for every point.
+    /// Calls `visit(squared_distance, slot)` for every lane, with NaN for those without a point.
     #[inline]
     pub(super) fn for_each(&self, query: &Vector3<f32>, mut visit: impl FnMut(f32, u32)) {
         for group in &self.groups {
@@ -94,7 +94,6 @@ impl CellPoints {
             squared
                 .iter()
                 .zip(group.slots)
-                .filter(|(squared, _)| !squared.is_nan())
                 .for_each(|(&squared, slot)| visit(squared, slot));
         }
     }

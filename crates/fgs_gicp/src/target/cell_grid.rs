@@ -95,7 +95,7 @@ impl CellGrid {
     }
 
     /// Calls `visit(squared_distance, slot)` with every point at most `max_distance_m` away, and
-    /// some beyond.
+    /// some beyond or with NaN for none.
     pub(super) fn for_points_within(
         &self,
         query: &Vector3<f32>,

@@ -79,3 +79,39 @@ fn min(lanes: &[u64; LANES]) -> u64 {
     let four: [u64; 4] = from_fn(|i| lanes[i].min(lanes[i + 4]));
     four[0].min(four[2]).min(four[1].min(four[3]))
 }
+
+#[cfg(test)]
+mod tests {
+    use rand::{RngExt, SeedableRng};
+    use rand_pcg::Pcg64Mcg;
+
+    use super::*;
+
+    /// Cells of any number of points, also after some were taken out; several cells together.
+    #[test]
+    fn equals_a_sorted_list() {
+        let mut rng = Pcg64Mcg::seed_from_u64(7);
+        let mut random = || Vector3::from_fn(|_, _| rng.random_range(-1.0f32..1.0));
+        for count in 0..40_u32 {
+            let query = random();
+            let positions: Vec<Vector3<f32>> = (0..count).map(|_| random()).collect();
+            let mut cells = [CellPoints::default(), CellPoints::default()];
+            for (slot, position) in (0..).zip(&positions) {
+                cells[usize::from(slot % 3 == 0)].push(position, slot);
+            }
+            cells[0].remove(4);
+            let mut expected: Vec<(f32, u32)> = (0..)
+                .zip(&positions)
+                .filter(|(slot, _)| *slot != 4)
+                .map(|(slot, position)| ((position - query).norm_squared(), slot))
+                .collect();
+            expected.sort_by(|a, b| a.0.total_cmp(&b.0));
+            let mut found = NearestTwo::NONE;
+            cells.iter().for_each(|points| found.add(points, &query));
+            let distance = |i: usize| expected.get(i).map_or(f32::INFINITY, |point| point.0);
+            assert_eq!(found.slot(), expected.first().map(|point| point.1));
+            assert_eq!(found.squared_distance(), distance(0));
+            assert_eq!(found.next_squared_distance(), distance(1));
+        }
+    }
+}

@@ -245,6 +245,20 @@ mod tests {
         }
     }
 
+    /// A tile large enough for its excess to be spread over all levels.
+    #[test]
+    fn what_is_clipped_is_spread_evenly() {
+        let mut histogram = [0; 256];
+        histogram[77] = 2560;
+        let table = clipped_equalization(histogram, 2560);
+        // The bar is cut at 20. The rest, 9 * 256 + 236, gives the first 236 levels one more.
+        for (level, &found) in table.iter().enumerate() {
+            let bars = 9 * (level + 1) + (level + 1).min(236) + if level < 77 { 0 } else { 20 };
+            let expected = (bars as f64 * 255.0 / 2560.0).round_ties_even();
+            assert_eq!(f64::from(found), expected, "{level}");
+        }
+    }
+
     #[test]
     fn a_constant_image_stays_constant() {
         let equalized = equalized(Image::filled(50, 40, 77));
