@@ -1,8 +1,8 @@
 //! An incremental map of points with ids, kept in cubic cells, the target of a registration.
 //!
 //! Inserting, moving and removing a point is O(1); the nearest point within a distance is found
-//! exactly, in constant time where the density of points is bounded. Cells of about the search
-//! distance are fastest.
+//! exactly, in constant time where the density of points is bounded. Cells of about three times
+//! the search distance are fastest.
 //! Invariant: of equally near points the one with the smallest id is found, so that answers do not
 //! depend on the order of insertion.
 
