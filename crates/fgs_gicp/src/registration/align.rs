@@ -22,7 +22,13 @@ const CHUNK_POINTS: usize = 1024;
 
 /// How far beyond the nearest point a search looks, as a share of the correspondence distance, so
 /// that it need not be repeated after steps of up to half of it. More makes the first search dear.
-const MARGIN: f32 = 0.1;
+const MARGIN: f32 = 0.05;
+
+/// Points of the sample that is aligned first.
+const SAMPLE_POINTS: usize = 1000;
+
+/// The sample is given up after so many linearisations.
+const MAX_SAMPLE_ITERATIONS: usize = 10;
 
 /// Three points off a line determine a motion.
 const MIN_PAIRS: usize = 3;
@@ -46,6 +52,46 @@ pub fn align(
     settings: &Settings,
 ) -> Result<Alignment, AlignError> {
     check(source, target, initial)?;
+    let start = align_sample(source, target, initial, settings);
+    align_all(source, target, &start.unwrap_or(*initial), settings)
+}
+
+/// Where a sample of the points lies on the target, near enough for one or two linearisations of
+/// all of them; `None` if there is nothing to save or the sample does not settle.
+fn align_sample(
+    source: &[Point],
+    target: &PointMap,
+    initial: &Se3,
+    settings: &Settings,
+) -> Option<Se3> {
+    let step = source.len() / SAMPLE_POINTS;
+    if step < 2 {
+        return None;
+    }
+    let sample: Vec<Point> = source.iter().step_by(step).copied().collect();
+    // Smaller steps are below what the sample tells.
+    let coarse = Settings::default();
+    let settings = Settings {
+        max_iterations: settings.max_iterations.min(MAX_SAMPLE_ITERATIONS),
+        rotation_epsilon_rad: settings
+            .rotation_epsilon_rad
+            .max(coarse.rotation_epsilon_rad),
+        translation_epsilon_m: settings
+            .translation_epsilon_m
+            .max(coarse.translation_epsilon_m),
+        ..*settings
+    };
+    let alignment = align_all(&sample, target, initial, &settings).ok()?;
+    alignment.converged.then_some(alignment.target_from_source)
+}
+
+/// Gauss-Newton with every point.
+fn align_all(
+    source: &[Point],
+    target: &PointMap,
+    initial: &Se3,
+    settings: &Settings,
+) -> Result<Alignment, AlignError> {
     let (centroid, radius_m) = extent(source);
     let mut target_from_source = *initial;
     let mut nearest = vec![LastingNearest::unknown(); source.len()];
@@ -142,35 +188,43 @@ fn linearize_chunk(
     settings: &Settings,
     nearest: &mut [LastingNearest],
 ) -> LinearSystem {
-    let max_distance_m = settings.max_correspondence_distance_m;
-    for (point, nearest) in source.iter().zip(&mut *nearest) {
-        let query = (rotation * point.position.cast::<f64>() + translation).cast::<f32>();
-        if !nearest.holds_at(&query) {
-            *nearest = target.lasting_nearest(&query, max_distance_m, MARGIN * max_distance_m);
-        }
-    }
-    pulp::Arch::new().dispatch(SumPairs {
-        batch: PairBatch::new(rotation, translation, settings.kernel),
+    pulp::Arch::new().dispatch(LinearizeChunk {
         source,
         target,
+        rotation,
+        translation,
+        settings,
         nearest,
     })
 }
 
-/// Sums up the pairs that were found, compiled for each instruction set.
-struct SumPairs<'a> {
-    batch: PairBatch,
+/// Finds the pairs and sums them up, compiled for each instruction set.
+struct LinearizeChunk<'a> {
     source: &'a [Point],
     target: &'a PointMap,
-    nearest: &'a [LastingNearest],
+    rotation: &'a Matrix3<f64>,
+    translation: &'a Vector3<f64>,
+    settings: &'a Settings,
+    nearest: &'a mut [LastingNearest],
 }
 
-impl NullaryFnOnce for SumPairs<'_> {
+impl NullaryFnOnce for LinearizeChunk<'_> {
     type Output = LinearSystem;
 
     #[inline(always)]
     fn call(self) -> LinearSystem {
-        let mut batch = self.batch;
+        let max_distance_m = self.settings.max_correspondence_distance_m;
+        let margin_m = MARGIN * max_distance_m;
+        for (point, nearest) in self.source.iter().zip(&mut *self.nearest) {
+            let position = point.position.cast::<f64>();
+            let query = (self.rotation * position + self.translation).cast::<f32>();
+            if !nearest.holds_at(&query) {
+                *nearest = self
+                    .target
+                    .lasting_nearest(&query, max_distance_m, margin_m);
+            }
+        }
+        let mut batch = PairBatch::new(self.rotation, self.translation, self.settings.kernel);
         for (point, nearest) in self.source.iter().zip(self.nearest) {
             if let Some(slot) = nearest.slot {
                 batch.push(point, self.target.point_in(slot));

@@ -106,6 +106,53 @@ fn known_motion_about_three_axes() {
     }
 }
 
+/// `align_all` from the given start is the definition.
+#[test]
+fn a_sample_first_changes_nothing_but_the_time() {
+    let target = map_of(&view(&corner(), &Se3::identity()));
+    for motion in motions() {
+        let source = view(&corner(), &motion);
+        let start = Se3::identity();
+        let moved = distance(&source, &motion, &start);
+        let near = align_sample(&source, &target, &start, &precise()).unwrap();
+        let off = distance(&source, &motion, &near);
+        assert!(off <= moved / 10.0, "{off} of {moved}");
+        let all = align_all(&source, &target, &start, &precise()).unwrap();
+        let alignment = align(&source, &target, &start, &precise()).unwrap();
+        let difference = distance(
+            &source,
+            &all.target_from_source,
+            &alignment.target_from_source,
+        );
+        assert!(difference <= 1e-5, "{difference} of {moved}");
+        assert!(alignment.iterations < all.iterations);
+    }
+}
+
+/// One of too few points, one that does not settle, and one of outliers.
+#[test]
+fn a_sample_that_misleads_is_not_followed() {
+    let points = view(&corner(), &Se3::identity());
+    let few = &points[..2 * SAMPLE_POINTS - 1];
+    let (target, start) = (map_of(&points), Se3::identity());
+    assert!(align_sample(few, &target, &start, &precise()).is_none());
+    // One linearisation is too few to settle.
+    let once = Settings {
+        max_iterations: 1,
+        ..precise()
+    };
+    let moved = view(&corner(), &motions()[3]);
+    assert!(align_sample(&moved, &target, &start, &once).is_none());
+    let step = points.len() / SAMPLE_POINTS;
+    let mut source = points.clone();
+    for point in source.iter_mut().step_by(step) {
+        point.position += Vector3::repeat(100.0);
+    }
+    assert!(align_sample(&source, &target, &start, &precise()).is_none());
+    let alignment = align(&source, &target, &start, &precise()).unwrap();
+    assert!(distance(&points, &alignment.target_from_source, &start) <= 1e-4);
+}
+
 #[test]
 fn there_and_back_is_nowhere() {
     for motion in motions() {

@@ -11,7 +11,7 @@ pub struct Alignment {
     pub target_from_source: Se3,
     /// Whether the last step was below the settings' epsilons.
     pub converged: bool,
-    /// Number of linearisations.
+    /// Number of linearisations of all points.
     pub iterations: usize,
     /// Number of source points with a target point within the correspondence distance.
     pub inliers: usize,

@@ -48,7 +48,7 @@ pub struct Settings {
     pub max_correspondence_distance_m: f32,
     /// Robust kernel.
     pub kernel: Kernel,
-    /// Number of linearisations after which the search ends.
+    /// Number of linearisations of all points after which the search ends.
     pub max_iterations: usize,
     /// Converged when a step turns less than this ...
     pub rotation_epsilon_rad: f64,

@@ -6,9 +6,11 @@
 //! the best estimate on real sensors. Pixels across a depth step are left out.
 //! Invariant: a normal has unit length and faces the camera.
 
-use fgs_geom::{Camera, Image, has_depth};
-use nalgebra::{Matrix3, Vector3};
+use fgs_geom::{Camera, Image};
+use nalgebra::Vector3;
+use pulp::NullaryFnOnce;
 
+use super::plane_fit::{InverseDepthPlane, fit_planes};
 use crate::{Covariance, Point};
 
 /// Which pixels to take and how to fit their surface.
@@ -32,6 +34,9 @@ pub struct DepthGrid {
     /// The fit is refused when fewer than this share of the window's pixels lie on the surface.
     pub min_support: f64,
 }
+
+/// Pixels that are fitted side by side: the widest registers hold so many `f32`.
+const LANES: usize = 16;
 
 impl Default for DepthGrid {
     fn default() -> Self {
@@ -85,14 +90,11 @@ impl SurfacePoint {
 impl DepthGrid {
     /// The points with a reliable surface, row by row.
     pub fn surface_points(&self, depth_m: &Image<f32>, camera: &Camera) -> Vec<SurfacePoint> {
-        let stride = self.stride_px.max(1);
-        let mut points = Vec::new();
-        for v in (stride / 2..depth_m.height()).step_by(stride) {
-            for u in (stride / 2..depth_m.width()).step_by(stride) {
-                points.extend(self.surface_point(depth_m, camera, u, v));
-            }
-        }
-        points
+        pulp::Arch::new().dispatch(AllPoints {
+            grid: self,
+            depth_m,
+            camera,
+        })
     }
 
     /// The point of pixel (u, v); `None` where there is no depth or no reliable surface.
@@ -103,100 +105,74 @@ impl DepthGrid {
         u: usize,
         v: usize,
     ) -> Option<SurfacePoint> {
-        let depth = depth_m.get(u, v).filter(|&depth| has_depth(depth))?;
-        if depth > self.max_depth_m {
-            return None;
-        }
-        let fit = self.fit_inverse_depth(depth_m, u, v, depth)?;
+        let [plane] = fit_planes(self, depth_m, [u], v);
+        self.point_on_plane(&plane?, camera, u, v)
+    }
+
+    #[inline(always)]
+    fn point_on_plane(
+        &self,
+        plane: &InverseDepthPlane,
+        camera: &Camera,
+        u: usize,
+        v: usize,
+    ) -> Option<SurfacePoint> {
         let (u0, v0) = (u as f64, v as f64);
         let ray = camera.ray(u0, v0);
         let k = camera.intrinsics;
         // From 1/z = a (u - u0) + b (v - v0) + c with u = fx x/z + cx: the plane m.p = 1.
         let m = Vector3::new(
-            fit.slope_u * k.fx,
-            fit.slope_v * k.fy,
-            fit.center + fit.slope_u * (k.cx - u0) + fit.slope_v * (k.cy - v0),
+            plane.slope_u * k.fx,
+            plane.slope_v * k.fy,
+            plane.center + plane.slope_u * (k.cx - u0) + plane.slope_v * (k.cy - v0),
         );
         let normal = -m.normalize();
         let cosine = -normal.dot(&ray) / ray.norm();
         (cosine >= self.min_cosine).then(|| SurfacePoint {
             u,
             v,
-            measured: ray * f64::from(depth),
-            fitted: ray / fit.center,
+            measured: ray * f64::from(plane.measured_depth_m),
+            fitted: ray / plane.center,
             normal,
         })
     }
-
-    /// Least squares of `1/z = slope_u du + slope_v dv + center` over the window.
-    fn fit_inverse_depth(
-        &self,
-        depth_m: &Image<f32>,
-        u: usize,
-        v: usize,
-        depth: f32,
-    ) -> Option<InverseDepthPlane> {
-        let step = self.window_step_px.max(1);
-        // The window is centred, so that a full one gives a diagonal system.
-        let radius = self.window_radius_px / step * step;
-        let lowest = |x: usize| x - (x.min(radius) / step) * step;
-        let (nearest, farthest) = (
-            depth * (1.0 - self.max_depth_step),
-            depth * (1.0 + self.max_depth_step),
-        );
-        let center = 1.0 / depth;
-        // Sums of du, dv, their products, and of the inverse depth relative to the centre's, which
-        // keeps the digits.
-        let [mut n, mut su, mut sv, mut suu, mut suv, mut svv] = [0i32; 6];
-        let [mut sr, mut sru, mut srv, mut srr] = [0f32; 4];
-        for row in (lowest(v)..depth_m.height().min(v + radius + 1)).step_by(step) {
-            let pixels = depth_m.row(row);
-            let dv = row as i32 - v as i32;
-            for column in (lowest(u)..depth_m.width().min(u + radius + 1)).step_by(step) {
-                let z = pixels[column];
-                if !(z >= nearest && z <= farthest) {
-                    continue;
-                }
-                let du = column as i32 - u as i32;
-                let r = 1.0 / z - center;
-                n += 1;
-                su += du;
-                sv += dv;
-                suu += du * du;
-                suv += du * dv;
-                svv += dv * dv;
-                sr += r;
-                sru += r * du as f32;
-                srv += r * dv as f32;
-                srr += r * r;
-            }
-        }
-        let side = (2 * radius / step + 1) as f64;
-        if n < 3 || f64::from(n) < self.min_support * side * side {
-            return None;
-        }
-        let [n, su, sv, suu, suv, svv] = [n, su, sv, suu, suv, svv].map(f64::from);
-        let [sr, sru, srv, srr] = [sr, sru, srv, srr].map(f64::from);
-        let normal_matrix = Matrix3::new(suu, suv, su, suv, svv, sv, su, sv, n);
-        let right = Vector3::new(sru, srv, sr);
-        let solution = normal_matrix.cholesky()?.solve(&right);
-        let squared_error = (srr - solution.dot(&right)).max(0.0) / n;
-        let plane = InverseDepthPlane {
-            slope_u: solution.x,
-            slope_v: solution.y,
-            center: solution.z + f64::from(center),
-        };
-        // A relative error of inverse depth is one of depth.
-        let error = squared_error.sqrt() * f64::from(depth);
-        (error <= self.max_fit_error && plane.center > 0.0).then_some(plane)
-    }
 }
 
-/// `1/z = slope_u (u - u0) + slope_v (v - v0) + center`.
-struct InverseDepthPlane {
-    slope_u: f64,
-    slope_v: f64,
-    center: f64,
+/// Every point of a grid, compiled for each instruction set.
+struct AllPoints<'a> {
+    grid: &'a DepthGrid,
+    depth_m: &'a Image<f32>,
+    camera: &'a Camera,
+}
+
+impl NullaryFnOnce for AllPoints<'_> {
+    type Output = Vec<SurfacePoint>;
+
+    #[inline(always)]
+    fn call(self) -> Vec<SurfacePoint> {
+        let Self {
+            grid,
+            depth_m,
+            camera,
+        } = self;
+        let stride = grid.stride_px.max(1);
+        let first = stride / 2;
+        let mut points = Vec::with_capacity(
+            depth_m.width().div_ceil(stride) * depth_m.height().div_ceil(stride),
+        );
+        for v in (first..depth_m.height()).step_by(stride) {
+            for first in (first..depth_m.width()).step_by(LANES * stride) {
+                // Those beyond the image have no depth.
+                let columns: [usize; LANES] = std::array::from_fn(|i| first + i * stride);
+                let planes = fit_planes(grid, depth_m, columns, v);
+                for (u, plane) in columns.into_iter().zip(planes) {
+                    points
+                        .extend(plane.and_then(|plane| grid.point_on_plane(&plane, camera, u, v)));
+                }
+            }
+        }
+        points
+    }
 }
 
 #[cfg(test)]

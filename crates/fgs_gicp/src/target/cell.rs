@@ -1,11 +1,14 @@
-//! The points of one cell of a map, four side by side, so that four distances are computed at
-//! once.
+//! The points of one cell of a map, eight side by side, so that eight distances are computed and
+//! compared at once.
 //! Invariant: lanes without a point are NaN, so that no comparison finds them near.
+
+use std::array::from_fn;
 
 use nalgebra::Vector3;
 
-/// Points per group: one SSE or NEON register, and one cache line for a group.
-const LANES: usize = 4;
+/// Points per group: one AVX register of `f32`, two of SSE or NEON.
+pub(super) const LANES: usize = 8;
+type Lanes = [f32; LANES];
 
 /// Positions and slots of a cell's points, in no particular order.
 #[derive(Clone, Debug, Default)]
@@ -14,12 +17,14 @@ pub(super) struct CellPoints {
     len: usize,
 }
 
+/// Two cache lines.
 #[derive(Clone, Debug)]
-struct Group {
-    x: [f32; LANES],
-    y: [f32; LANES],
-    z: [f32; LANES],
-    slots: [u32; LANES],
+#[repr(align(64))]
+pub(super) struct Group {
+    x: Lanes,
+    y: Lanes,
+    z: Lanes,
+    pub(super) slots: [u32; LANES],
 }
 
 impl Group {
@@ -30,9 +35,9 @@ impl Group {
         slots: [u32::MAX; LANES],
     };
 
-    #[inline]
-    fn squared_distances(&self, query: &Vector3<f32>) -> [f32; LANES] {
-        std::array::from_fn(|i| {
+    #[inline(always)]
+    pub(super) fn squared_distances(&self, query: &Vector3<f32>) -> Lanes {
+        from_fn(|i| {
             let (dx, dy, dz) = (
                 self.x[i] - query.x,
                 self.y[i] - query.y,
@@ -49,6 +54,11 @@ impl Group {
 }
 
 impl CellPoints {
+    #[inline(always)]
+    pub(super) fn groups(&self) -> &[Group] {
+        &self.groups
+    }
+
     pub(super) fn is_empty(&self) -> bool {
         self.len == 0
     }
@@ -76,21 +86,15 @@ impl CellPoints {
         self.groups.truncate(self.len.div_ceil(LANES));
     }
 
-    /// Calls `visit(squared_distances, slots)` for groups with a point at most `limit` (squared)
-    /// from `query`; `visit` returns the limit from then on.
+    /// Calls `visit(squared_distance, slot)` for every lane, with NaN for those without a point.
     #[inline]
-    pub(super) fn for_groups_within(
-        &self,
-        query: &Vector3<f32>,
-        mut limit: f32,
-        mut visit: impl FnMut(&[f32; LANES], &[u32; LANES]) -> f32,
-    ) {
+    pub(super) fn for_each(&self, query: &Vector3<f32>, mut visit: impl FnMut(f32, u32)) {
         for group in &self.groups {
             let squared = group.squared_distances(query);
-            // Without short cuts, so that it is one comparison of all lanes.
-            if squared.iter().fold(false, |near, &d| near | (d <= limit)) {
-                limit = visit(&squared, &group.slots);
-            }
+            squared
+                .iter()
+                .zip(group.slots)
+                .for_each(|(&squared, slot)| visit(squared, slot));
         }
     }
 }

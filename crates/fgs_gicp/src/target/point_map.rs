@@ -1,17 +1,17 @@
-//! An incremental map of points in hashed cubic cells, the target of a registration.
+//! An incremental map of points with ids, kept in cubic cells, the target of a registration.
 //!
 //! Inserting, moving and removing a point is O(1); the nearest point within a distance is found
-//! exactly, in constant time where the density of points is bounded. Cells of about the search
-//! distance are fastest.
+//! exactly, in constant time where the density of points is bounded. Cells of about three times
+//! the search distance are fastest.
 //! Invariant: of equally near points the one with the smallest id is found, so that answers do not
 //! depend on the order of insertion.
 
 use std::collections::HashMap;
-use std::hash::{BuildHasherDefault, Hasher};
 
 use nalgebra::Vector3;
 
-use super::cell::CellPoints;
+use super::cell_grid::{CellGrid, rounding_m};
+use super::nearest_two::NearestTwo;
 use crate::Point;
 
 /// A point of the map found by a search.
@@ -28,33 +28,19 @@ pub struct Neighbor<'a> {
 /// Points with ids, to be searched by position.
 #[derive(Clone, Debug)]
 pub struct PointMap {
-    cell_size_m: f32,
-    cells_per_m: f32,
-    cells: HashMap<Cell, CellPoints, BuildHasherDefault<CellHasher>>,
+    cells: CellGrid,
     slots: Vec<(u64, Point)>,
     slot_from_id: HashMap<u64, u32>,
     /// Slots whose points were removed, to be used again.
     free: Vec<u32>,
 }
 
-/// Integer coordinates of a cell.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-struct Cell {
-    x: i32,
-    y: i32,
-    z: i32,
-}
-
 impl PointMap {
     /// An empty map with cubic cells of the given side. A side that is not a positive number is
     /// replaced by 1 m: it affects speed alone.
     pub fn new(cell_size_m: f32) -> Self {
-        let cells_per_m = 1.0 / cell_size_m;
-        let usable = cells_per_m.is_normal() && cells_per_m > 0.0;
         Self {
-            cell_size_m: if usable { cell_size_m } else { 1.0 },
-            cells_per_m: if usable { cells_per_m } else { 1.0 },
-            cells: HashMap::default(),
+            cells: CellGrid::new(cell_size_m),
             slots: Vec::new(),
             slot_from_id: HashMap::new(),
             free: Vec::new(),
@@ -95,10 +81,7 @@ impl PointMap {
             }
         };
         self.slot_from_id.insert(id, slot);
-        self.cells
-            .entry(self.cell_of(&point.position))
-            .or_default()
-            .push(&point.position, slot);
+        self.cells.insert(&point.position, slot);
         true
     }
 
@@ -106,13 +89,7 @@ impl PointMap {
     pub fn remove(&mut self, id: u64) -> Option<Point> {
         let slot = self.slot_from_id.remove(&id)?;
         let point = self.slots[slot as usize].1;
-        let cell = self.cell_of(&point.position);
-        if let Some(points) = self.cells.get_mut(&cell) {
-            points.remove(slot);
-            if points.is_empty() {
-                self.cells.remove(&cell);
-            }
-        }
+        self.cells.remove(&point.position, slot);
         self.free.push(slot);
         Some(point)
     }
@@ -120,34 +97,35 @@ impl PointMap {
     /// The nearest point at most `max_distance_m` away.
     #[inline]
     pub fn nearest(&self, query: &Vector3<f32>, max_distance_m: f32) -> Option<Neighbor<'_>> {
-        let found = self.search(query, max_distance_m, 0.0);
-        let slot = found.slot?;
-        (found.squared_distance <= max_distance_m * max_distance_m)
-            .then(|| self.neighbor(slot, found.squared_distance))
+        let found = self.cells.nearest_two(query, max_distance_m, 0.0);
+        let squared_distance = found.squared_distance();
+        if squared_distance <= max_distance_m * max_distance_m {
+            let slot = self.smallest_id(query, &found)?;
+            return Some(self.neighbor(slot, squared_distance));
+        }
+        None
     }
 
     /// The nearest point at most `max_distance_m` away, with a radius in which it stays so. That
     /// radius is at most half of `margin_m`; larger ones take longer to find.
-    #[inline]
+    #[inline(always)]
     pub(crate) fn lasting_nearest(
         &self,
         query: &Vector3<f32>,
         max_distance_m: f32,
         margin_m: f32,
     ) -> LastingNearest {
-        let found = self.search(query, max_distance_m, margin_m);
-        let distance = found.squared_distance.sqrt();
-        let (slot, radius) = match found.slot {
-            Some(slot) if distance <= max_distance_m => {
-                // No other point is nearer than this: those beyond the margin were not looked at.
-                let next = found.next_squared_distance.sqrt().min(distance + margin_m);
-                let stays_nearest = 0.5 * (next - distance);
-                (Some(slot), stays_nearest.min(max_distance_m - distance))
-            }
-            _ => (
-                None,
-                distance.min(max_distance_m + margin_m) - max_distance_m,
-            ),
+        let found = self.cells.nearest_two(query, max_distance_m, margin_m);
+        let distance = found.squared_distance().sqrt();
+        let (slot, radius) = if distance <= max_distance_m {
+            // No other point is nearer than this: those beyond the margin were not looked at.
+            let next = found.next_squared_distance().sqrt();
+            let stays_nearest = 0.5 * (next.min(distance + margin_m) - distance);
+            let slot = self.smallest_id(query, &found);
+            (slot, stays_nearest.min(max_distance_m - distance))
+        } else {
+            let stays_away = distance.min(max_distance_m + margin_m) - max_distance_m;
+            (None, stays_away)
         };
         LastingNearest {
             slot,
@@ -171,19 +149,12 @@ impl PointMap {
     ) -> Vec<Neighbor<'_>> {
         let mut found = Vec::new();
         let limit = max_distance_m * max_distance_m;
-        self.for_cells_within(query, max_distance_m, |cell, _| {
-            let Some(points) = self.cells.get(&cell) else {
-                return;
-            };
-            points.for_groups_within(query, limit, |squared_distances, slots| {
-                let near = squared_distances
-                    .iter()
-                    .zip(slots)
-                    .filter(|(d, _)| **d <= limit);
-                found.extend(near.map(|(&d, &slot)| self.neighbor(slot, d)));
-                limit
+        self.cells
+            .for_points_within(query, max_distance_m, |squared_distance, slot| {
+                if squared_distance <= limit {
+                    found.push(self.neighbor(slot, squared_distance));
+                }
             });
-        });
         found.sort_by(|a, b| {
             let by_distance = a.squared_distance.total_cmp(&b.squared_distance);
             by_distance.then(a.id.cmp(&b.id))
@@ -201,124 +172,29 @@ impl PointMap {
         }
     }
 
-    /// The nearest and the next nearest point, exact as far as `max_distance_m + margin_m`, the
-    /// next one also only as far as the nearest's distance plus the margin.
-    #[inline]
-    fn search(&self, query: &Vector3<f32>, max_distance_m: f32, margin_m: f32) -> Search {
-        let mut search = Search {
-            limit: (max_distance_m + margin_m).powi(2),
-            margin_m,
-            squared_distance: f32::INFINITY,
-            next_squared_distance: f32::INFINITY,
-            slot: None,
-        };
-        let own = self.cell_of(query);
-        self.search_cell(own, query, &mut search);
-        // What the own cell holds usually leaves few other cells, if any, within reach.
-        self.for_cells_within(query, search.limit.sqrt(), |cell, squared_gap| {
-            if cell != own && squared_gap <= search.limit {
-                self.search_cell(cell, query, &mut search);
-            }
-        });
-        search
+    /// Of the nearest points that a search has found, the one with the smallest id.
+    #[inline(always)]
+    fn smallest_id(&self, query: &Vector3<f32>, found: &NearestTwo) -> Option<u32> {
+        let slot = found.slot()?;
+        let nearest = found.squared_distance();
+        if found.next_squared_distance() > nearest {
+            return Some(slot);
+        }
+        Some(self.smallest_id_at(query, nearest, slot))
     }
 
-    #[inline]
-    fn search_cell(&self, cell: Cell, query: &Vector3<f32>, search: &mut Search) {
-        let Some(points) = self.cells.get(&cell) else {
-            return;
-        };
+    /// Of the points at a squared distance, `slot` among them, the one with the smallest id.
+    #[cold]
+    fn smallest_id_at(&self, query: &Vector3<f32>, squared_distance: f32, mut slot: u32) -> u32 {
         let id = |slot: u32| self.slots[slot as usize].0;
-        points.for_groups_within(query, search.limit, |squared_distances, slots| {
-            for (&squared, &slot) in squared_distances.iter().zip(slots) {
-                let nearest = search.squared_distance;
-                if squared < nearest && squared <= search.limit {
-                    search.squared_distance = squared;
-                    search.next_squared_distance = nearest;
-                    search.slot = Some(slot);
-                    // Not below the point itself by rounding: its equals are to be met too.
-                    let limit = (squared.sqrt() + search.margin_m).powi(2).max(squared);
-                    search.limit = search.limit.min(limit);
-                } else if squared <= search.limit {
-                    search.next_squared_distance = search.next_squared_distance.min(squared);
-                    if squared == nearest && search.slot.is_none_or(|other| id(slot) < id(other)) {
-                        search.slot = Some(slot);
-                    }
+        self.cells
+            .for_points_within(query, squared_distance.sqrt(), |squared, other| {
+                if squared == squared_distance && id(other) < id(slot) {
+                    slot = other;
                 }
-            }
-            search.limit
-        });
+            });
+        slot
     }
-
-    /// Calls `visit(cell, squared_gap)` with every cell that may hold a point within `distance_m`
-    /// of `query`. No point of the cell is nearer than the gap.
-    #[inline]
-    fn for_cells_within(
-        &self,
-        query: &Vector3<f32>,
-        distance_m: f32,
-        mut visit: impl FnMut(Cell, f32),
-    ) {
-        let rounding_m = rounding_m(query, distance_m);
-        let reach = distance_m + rounding_m;
-        let low = self.cell_of(&query.map(|x| x - reach));
-        let high = self.cell_of(&query.map(|x| x + reach));
-        let side = |low: i32, high: i32| f64::from(high) - f64::from(low) + 1.0;
-        let cells = side(low.x, high.x) * side(low.y, high.y) * side(low.z, high.z);
-        // A search far beyond the cells' size is quicker through the table itself.
-        if cells > 64.0 && cells > self.cells.len() as f64 {
-            self.cells.keys().for_each(|&cell| visit(cell, 0.0));
-            return;
-        }
-        // Along one axis, from the query to the cell.
-        let squared_gap = |cell: i32, x: f32| {
-            let low = cell as f32 * self.cell_size_m;
-            let gap = (low - x).max(x - low - self.cell_size_m) - rounding_m;
-            gap.max(0.0).powi(2)
-        };
-        for x in low.x..=high.x {
-            let gap_x = squared_gap(x, query.x);
-            for y in low.y..=high.y {
-                let gap_xy = gap_x + squared_gap(y, query.y);
-                for z in low.z..=high.z {
-                    visit(Cell { x, y, z }, gap_xy + squared_gap(z, query.z));
-                }
-            }
-        }
-    }
-
-    /// Saturates far away, where one cell then holds all points.
-    #[inline]
-    fn cell_of(&self, position: &Vector3<f32>) -> Cell {
-        // Rounds down; `f32::floor` is a function call on baseline x86-64.
-        let coordinate = |x: f32| {
-            let scaled = x * self.cells_per_m;
-            let truncated = scaled as i32;
-            truncated.saturating_sub(i32::from(scaled < truncated as f32))
-        };
-        Cell {
-            x: coordinate(position.x),
-            y: coordinate(position.y),
-            z: coordinate(position.z),
-        }
-    }
-}
-
-/// Bounds the rounding error of distances up to `distance_m` from `query`, which is that of the
-/// coordinates that they come from.
-#[inline]
-fn rounding_m(query: &Vector3<f32>, distance_m: f32) -> f32 {
-    4.0 * f32::EPSILON * (query.amax() + distance_m)
-}
-
-/// A search under way.
-struct Search {
-    /// Points beyond this squared distance are of no interest.
-    limit: f32,
-    margin_m: f32,
-    squared_distance: f32,
-    next_squared_distance: f32,
-    slot: Option<u32>,
 }
 
 /// The nearest point within a distance, and for how far around the query it stays so.
@@ -343,35 +219,6 @@ impl LastingNearest {
     #[inline]
     pub(crate) fn holds_at(&self, query: &Vector3<f32>) -> bool {
         self.radius_m > 0.0 && (query - self.query).norm_squared() < self.radius_m * self.radius_m
-    }
-}
-
-/// Mixes the three coordinates by multiplication: neighbouring cells differ in low bits, which the
-/// table's index must depend on. Fixed, so that runs repeat.
-#[derive(Default)]
-struct CellHasher(u64);
-
-impl Hasher for CellHasher {
-    fn write(&mut self, bytes: &[u8]) {
-        for &byte in bytes {
-            self.write_u64(u64::from(byte));
-        }
-    }
-
-    #[inline]
-    fn write_i32(&mut self, value: i32) {
-        self.write_u64(u64::from(value as u32));
-    }
-
-    #[inline]
-    fn write_u64(&mut self, value: u64) {
-        // An odd constant with well-mixed bits: 2^64 over the golden ratio.
-        self.0 = (self.0.rotate_left(23) ^ value).wrapping_mul(0x9e37_79b9_7f4a_7c15);
-    }
-
-    #[inline]
-    fn finish(&self) -> u64 {
-        self.0 ^ (self.0 >> 32)
     }
 }
 

@@ -80,6 +80,25 @@ fn neighbors_are_those_of_brute_force() {
     }
 }
 
+/// Put in from the largest id down: in one place, and equally far to all sides in several cells.
+#[test]
+fn of_equally_near_points_the_smallest_id_is_found() {
+    for radius in [0.0, 0.015625] {
+        let mut map = PointMap::new(0.02);
+        for id in (0..24).rev() {
+            let mut position = Vector3::zeros();
+            position[id % 3] = if id % 2 == 0 { radius } else { -radius };
+            map.insert(id as u64, point(position));
+        }
+        map.remove(0);
+        let query = Vector3::zeros();
+        assert_eq!(map.nearest(&query, 0.03).unwrap().id, 1);
+        let lasting = map.lasting_nearest(&query, 0.03, 0.01);
+        assert_eq!(map.slots[lasting.slot.unwrap() as usize].0, 1);
+        assert!(!lasting.holds_at(&query));
+    }
+}
+
 #[test]
 fn a_lasting_neighbor_lasts() {
     let mut rng = Pcg64Mcg::seed_from_u64(2);

@@ -12,35 +12,33 @@ pub(super) struct Border {
     pub bottom: usize,
 }
 
-/// The image with a reflected border. A border wider than the image is reflected again and again.
-/// An image without pixels stays as it is.
-pub(super) fn reflect(image: &Image<u8>, border: Border) -> Image<u8> {
+impl Border {
+    /// An image with room for one of `width` x `height` pixels and its border.
+    pub fn canvas(&self, width: usize, height: usize) -> Image<u8> {
+        let (width, height) = (
+            self.left + width + self.right,
+            self.top + height + self.bottom,
+        );
+        Image::filled(width, height, 0)
+    }
+}
+
+/// Puts the image with a reflected border on its [canvas](Border::canvas). A border wider than the
+/// image is reflected again and again. An image without pixels leaves the canvas as it is.
+pub(super) fn reflect(image: &Image<u8>, border: Border, canvas: &mut Image<u8>) {
     let (width, height) = (image.width(), image.height());
     if width == 0 || height == 0 {
-        return image.clone();
+        return;
     }
-    let sources = |before: usize, len: usize, after: usize| -> Vec<usize> {
-        let reflected = |index| reflected_index(index, before, len);
-        (0..before + len + after).map(reflected).collect()
-    };
-    let columns = sources(border.left, width, border.right);
-    let rows = sources(border.top, height, border.bottom);
-    let (before, after) = (&columns[..border.left], &columns[border.left + width..]);
-    let mut reflected = Image::filled(columns.len(), rows.len(), image.at(0, 0));
-    for (to, &v) in reflected.data_mut().chunks_mut(columns.len()).zip(&rows) {
-        let from = image.row(v);
-        let (left, rest) = to.split_at_mut(border.left);
-        let (middle, right) = rest.split_at_mut(width);
-        left.iter_mut()
-            .zip(before)
-            .for_each(|(to, &u)| *to = from[u]);
-        middle.copy_from_slice(from);
-        right
-            .iter_mut()
-            .zip(after)
-            .for_each(|(to, &u)| *to = from[u]);
+    let columns = canvas.width();
+    let column = |u: usize| reflected_index(u, border.left, width);
+    for (v, to) in canvas.data_mut().chunks_mut(columns).enumerate() {
+        let from = image.row(reflected_index(v, border.top, height));
+        to[border.left..][..width].copy_from_slice(from);
+        for u in (0..border.left).chain(border.left + width..columns) {
+            to[u] = from[column(u)];
+        }
     }
-    reflected
 }
 
 /// The index in `0..len` seen at `index - offset`.
@@ -63,7 +61,8 @@ mod tests {
             right: 3,
             bottom: 0,
         };
-        let reflected = reflect(&image, border);
+        let mut reflected = border.canvas(3, 2);
+        reflect(&image, border, &mut reflected);
         assert_eq!(reflected.row(0), &[6, 5, 4, 5, 6, 5, 4, 5]);
         assert_eq!(reflected.row(1), &[3, 2, 1, 2, 3, 2, 1, 2]);
         assert_eq!((reflected.width(), reflected.height()), (8, 3));
@@ -77,7 +76,8 @@ mod tests {
             right: 1,
             bottom: 4,
         };
-        let reflected = reflect(&Image::filled(1, 1, 7), border);
+        let mut reflected = border.canvas(1, 1);
+        reflect(&Image::filled(1, 1, 7), border, &mut reflected);
         assert_eq!(reflected, Image::filled(5, 7, 7));
     }
 }

@@ -2,16 +2,32 @@
 //! OpenCV's RGB2GRAY on 8-bit images.
 
 use fgs_geom::Image;
+use pulp::NullaryFnOnce;
 
 /// The weights times 2^15. They add up to 2^15, so white stays 255.
 const WEIGHTS: [u32; 3] = [9798, 19235, 3735];
 
-/// 8-bit grey, rounded to nearest.
-pub(super) fn gray_from_color(color: &Image<[u8; 3]>) -> Image<u8> {
-    color.map(|&[r, g, b]| {
-        let (r, g, b) = (u32::from(r), u32::from(g), u32::from(b));
-        ((WEIGHTS[0] * r + WEIGHTS[1] * g + WEIGHTS[2] * b + (1 << 14)) >> 15) as u8
-    })
+/// 8-bit grey, rounded to nearest, of an image into one of the same size.
+pub(super) fn gray_from_color(color: &Image<[u8; 3]>, gray: &mut Image<u8>) {
+    pulp::Arch::new().dispatch(Weighting { color, gray });
+}
+
+/// The work, compiled for each instruction set.
+struct Weighting<'a> {
+    color: &'a Image<[u8; 3]>,
+    gray: &'a mut Image<u8>,
+}
+
+impl NullaryFnOnce for Weighting<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn call(self) {
+        for (gray, &[r, g, b]) in self.gray.data_mut().iter_mut().zip(self.color.data()) {
+            let (r, g, b) = (u32::from(r), u32::from(g), u32::from(b));
+            *gray = ((WEIGHTS[0] * r + WEIGHTS[1] * g + WEIGHTS[2] * b + (1 << 14)) >> 15) as u8;
+        }
+    }
 }
 
 #[cfg(test)]
@@ -40,7 +56,9 @@ mod tests {
             ([64, 6, 253], 51),
         ];
         for (color, gray) in expected {
-            assert_eq!(gray_from_color(&Image::filled(1, 1, color)).at(0, 0), gray);
+            let mut found = Image::filled(1, 1, 0);
+            gray_from_color(&Image::filled(1, 1, color), &mut found);
+            assert_eq!(found.at(0, 0), gray);
         }
     }
 }

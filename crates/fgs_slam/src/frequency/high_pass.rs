@@ -1,6 +1,6 @@
 //! The gaussian high-pass filter (Sec. III-A, Eq. 3 to 6) as a convolution.
 //!
-//! In: an image as real numbers. Out: the image filtered by `H(u, v) = 1 - exp(-D^2 / (2 D0^2))`,
+//! In: an 8-bit image. Out: the image without its border, filtered by `H(u, v) = 1 - exp(-D^2 / (2 D0^2))`,
 //! with D the distance in bins from zero frequency, on the periodic image. The exponential is the
 //! product of one factor in u and one in v, each the transform of a (nearly gaussian) kernel with
 //! `sigma = len / (2 pi D0)`: what the filter removes is a separable blur. Cut at 5 sigma it is
@@ -10,36 +10,65 @@
 
 use std::f64::consts::TAU;
 
+use fgs_geom::Image;
+use pulp::NullaryFnOnce;
+
 /// Half of the kernel's length in sigmas: beyond lie 6e-7 of its weight. With 4 (6e-5) the masks of
 /// drawn images, whose responses crowd at a few levels, can turn over.
 const KERNEL_SIGMAS: f64 = 5.0;
+
+/// So many pixels stay in registers while the taps run over them.
+const BLOCK: usize = 64;
+
+/// Pixels side by side. Aligned to cache lines, of which the widest registers hold a whole one.
+#[derive(Clone, Copy)]
+#[repr(align(64))]
+struct Block([f32; BLOCK]);
+
+/// Rows that are blurred downwards, then across: few enough to stay in the second-level cache.
+const BAND: usize = 64;
 
 /// A filter for images of one size.
 pub(super) struct HighPass {
     width: usize,
     height: usize,
+    border: usize,
     across: Kernel,
     down: Kernel,
+    /// The pixels of some columns that a band depends on.
+    columns: Vec<Block>,
+    /// A band blurred downwards, row by row, with its periodic continuation on either side.
+    band: Vec<f32>,
     filtered: Vec<f32>,
 }
 
 impl HighPass {
     /// For images of `width` x `height` pixels, `cutoff_bins` being D0, at most a tenth of either
     /// side (the kernels of more rings beyond 5 sigma). With D0 = 0 the filter takes the limit: it
-    /// removes the mean and keeps everything else.
-    pub fn new(width: usize, height: usize, cutoff_bins: usize) -> Self {
+    /// removes the mean and keeps everything else. Pixels less than `border` from the edge are left
+    /// out of the result.
+    pub fn new(width: usize, height: usize, cutoff_bins: usize, border: usize) -> Self {
+        let (across, down) = (
+            Kernel::new(width, cutoff_bins),
+            Kernel::new(height, cutoff_bins),
+        );
+        let inside = |len: usize| len.saturating_sub(2 * border);
         Self {
             width,
             height,
-            across: Kernel::new(width, cutoff_bins),
-            down: Kernel::new(height, cutoff_bins),
-            filtered: vec![0.0; width * height],
+            border,
+            columns: vec![Block([0.0; BLOCK]); BAND + 2 * down.radius()],
+            // The last block may reach beyond the row.
+            band: vec![0.0; BAND * (width + 2 * across.radius() + BLOCK)],
+            filtered: vec![0.0; inside(width) * inside(height)],
+            across,
+            down,
         }
     }
 
-    /// The filtered image. Both are row-major and of the filter's size.
-    pub fn apply(&mut self, image: &[f32]) -> &[f32] {
-        debug_assert_eq!(image.len(), self.width * self.height);
+    /// The filtered image without its border, row by row.
+    pub fn apply(&mut self, image: &Image<u8>) -> &[f32] {
+        debug_assert_eq!((image.width(), image.height()), (self.width, self.height));
         pulp::Arch::new().dispatch(Convolution {
             filter: self,
             image,
@@ -54,6 +83,10 @@ struct Kernel {
 }
 
 impl Kernel {
+    fn radius(&self) -> usize {
+        self.weights.len() - 1
+    }
+
     /// The inverse transform of `exp(-bin^2 / (2 D0^2))` over a line of `len` pixels.
     fn new(len: usize, cutoff_bins: usize) -> Self {
         let (n, cutoff) = (len as f64, cutoff_bins as f64);
@@ -87,76 +120,105 @@ impl Kernel {
 /// The work, compiled for each instruction set.
 struct Convolution<'a> {
     filter: &'a mut HighPass,
-    image: &'a [f32],
+    image: &'a Image<u8>,
 }
 
-impl pulp::WithSimd for Convolution<'_> {
+impl NullaryFnOnce for Convolution<'_> {
     type Output = ();
 
     #[inline(always)]
-    fn with_simd<S: pulp::Simd>(self, _: S) {
+    fn call(self) {
         let HighPass {
             width,
             height,
-            across,
-            down,
-            filtered,
-        } = self.filter;
-        let (width, height) = (*width, *height);
-        let margin = across.weights.len() - 1;
-        // A row blurred downwards, with its periodic continuation on either side.
-        let mut blurred = vec![0.0; width + 2 * margin];
-        let mut low = vec![0.0; width];
-        let row = |v: usize| &self.image[v % height * width..][..width];
-        for (v, filtered) in filtered.chunks_mut(width.max(1)).enumerate() {
-            let middle = &mut blurred[margin..margin + width];
-            convolve(middle, &down.weights, |k| [row(v + height - k), row(v + k)]);
-            blurred.copy_within(width..width + margin, 0);
-            blurred.copy_within(margin..2 * margin, margin + width);
-            convolve(&mut low, &across.weights, |k| {
-                [
-                    &blurred[margin - k..][..width],
-                    &blurred[margin + k..][..width],
-                ]
-            });
-            for ((filtered, image), low) in filtered.iter_mut().zip(row(v)).zip(&low) {
-                *filtered = image - low;
+            border,
+            ..
+        } = *self.filter;
+        let line_len = self.filter.band.len() / BAND;
+        let end = height.saturating_sub(border);
+        for top in (border..end).step_by(BAND) {
+            let rows = top..end.min(top + BAND);
+            for left in (0..width).step_by(BLOCK) {
+                self.filter.blur_downwards(self.image, rows.clone(), left);
+            }
+            let inner_width = width.saturating_sub(2 * border);
+            let filtered = &mut self.filter.filtered[(top - border) * inner_width..];
+            let lines = self.filter.band.chunks_mut(line_len);
+            for ((v, line), filtered) in rows.zip(lines).zip(filtered.chunks_mut(inner_width)) {
+                let row = &self.image.row(v)[border..width - border];
+                subtract_blur(row, line, width, border, &self.filter.across, filtered);
             }
         }
     }
 }
 
-/// `sum = w_0 before(0) + sum_k w_k (before(k) + after(k))`.
+impl HighPass {
+    /// Blurs the rows of a band downwards, in a block of columns.
+    #[inline(always)]
+    fn blur_downwards(&mut self, image: &Image<u8>, rows: std::ops::Range<usize>, left: usize) {
+        let (radius, margin) = (self.down.radius(), self.across.radius());
+        let line_len = self.band.len() / BAND;
+        let block_len = BLOCK.min(self.width - left);
+        let columns = &mut self.columns[..rows.len() + 2 * radius];
+        for (i, to) in columns.iter_mut().enumerate() {
+            let from = &image.row((rows.start + i + self.height - radius) % self.height)[left..];
+            for (to, &level) in to.0[..block_len].iter_mut().zip(from) {
+                *to = level.into();
+            }
+        }
+        for (i, line) in (radius..).zip(self.band.chunks_mut(line_len).take(rows.len())) {
+            let before = columns[i - radius..=i].iter().rev().map(|block| &block.0);
+            let after = columns[i..].iter().map(|block| &block.0);
+            let blurred = convolve(&self.down.weights, before, after);
+            line[margin + left..][..block_len].copy_from_slice(&blurred[..block_len]);
+        }
+    }
+}
+
+/// What is left of a row's inside after the blur, given the whole row blurred downwards.
 #[inline(always)]
-fn convolve<'a>(sum: &mut [f32], weights: &[f32], lines: impl Fn(usize) -> [&'a [f32]; 2]) {
-    // So many pixels stay in registers while the taps run over them.
-    const BLOCK: usize = 64;
-    let len = sum.len();
-    let tap = |k: usize, weight: f32| if k == 0 { 0.5 * weight } else { weight };
-    if len < BLOCK {
-        sum.fill(0.0);
-        for (k, &weight) in weights.iter().enumerate() {
-            let [before, after] = lines(k);
-            for ((sum, a), b) in sum.iter_mut().zip(before).zip(after) {
-                *sum += tap(k, weight) * (a + b);
-            }
+fn subtract_blur<'a>(
+    row: &[u8],
+    line: &'a mut [f32],
+    width: usize,
+    border: usize,
+    across: &Kernel,
+    filtered: &mut [f32],
+) {
+    let margin = across.radius();
+    line.copy_within(width..width + margin, 0);
+    line.copy_within(margin..2 * margin, margin + width);
+    let blocks = filtered.chunks_mut(BLOCK).zip(row.chunks(BLOCK));
+    for (middle, (filtered, row)) in (margin + border..).step_by(BLOCK).zip(blocks) {
+        let block = |window: &'a [f32]| window.first_chunk().unwrap_or(&[0.0; BLOCK]);
+        let before = line[middle - margin..middle + BLOCK].windows(BLOCK).rev();
+        let after = line[middle..].windows(BLOCK);
+        let low = convolve(&across.weights, before.map(block), after.map(block));
+        for ((filtered, &level), low) in filtered.iter_mut().zip(row).zip(low) {
+            *filtered = f32::from(level) - low;
         }
-        return;
     }
-    // The last block overlaps the one before.
-    for start in (0..len).step_by(BLOCK).map(|start| start.min(len - BLOCK)) {
-        let mut block = [0.0; BLOCK];
-        for (k, &weight) in weights.iter().enumerate() {
-            let weight = tap(k, weight);
-            let [before, after] = lines(k).map(|line| line[start..].first_chunk::<BLOCK>());
-            if let (Some(before), Some(after)) = (before, after) {
-                for i in 0..BLOCK {
-                    block[i] += weight * (before[i] + after[i]);
-                }
-            }
+}
+
+/// `sum_k w_k (before_k + after_k)`, the pixel itself, k = 0, counting once.
+#[inline(always)]
+fn convolve<'a>(
+    weights: &[f32],
+    before: impl IntoIterator<Item = &'a [f32; BLOCK]>,
+    after: impl IntoIterator<Item = &'a [f32; BLOCK]>,
+) -> [f32; BLOCK] {
+    let mut sum = [0.0; BLOCK];
+    for ((k, &weight), (before, after)) in weights
+        .iter()
+        .enumerate()
+        .zip(before.into_iter().zip(after))
+    {
+        let weight = if k == 0 { 0.5 * weight } else { weight };
+        for i in 0..BLOCK {
+            sum[i] += weight * (before[i] + after[i]);
         }
-        sum[start..start + BLOCK].copy_from_slice(&block);
     }
+    sum
 }
 
 #[cfg(test)]
@@ -170,12 +232,10 @@ mod tests {
     /// The largest difference from the Fourier transform, over the largest response.
     fn error(width: usize, height: usize, cutoff_bins: usize) -> f64 {
         let mut random = Pcg64Mcg::seed_from_u64(1);
-        let image: Vec<f32> = (0..width * height)
-            .map(|_| random.random_range(0.0..255.0))
-            .collect();
-        let exact: Vec<f64> = image.iter().map(|&x| x.into()).collect();
+        let image = Image::from_fn(width, height, |_, _| random.random());
+        let exact: Vec<f64> = image.data().iter().map(|&x: &u8| x.into()).collect();
         let expected = fourier::HighPass::new(width, height, cutoff_bins).apply(&exact);
-        let mut filter = HighPass::new(width, height, cutoff_bins);
+        let mut filter = HighPass::new(width, height, cutoff_bins, 0);
         let filtered = filter.apply(&image);
         let largest = expected.iter().fold(0.0, |a: f64, b| a.max(b.abs()));
         let errors = filtered.iter().zip(&expected);
@@ -202,13 +262,30 @@ mod tests {
 
     #[test]
     fn a_constant_image_has_no_response() {
-        let mut filter = HighPass::new(300, 200, 10);
-        let filtered = filter.apply(&[77.0; 300 * 200]);
+        let mut filter = HighPass::new(300, 200, 10, 0);
+        let filtered = filter.apply(&Image::filled(300, 200, 77));
         assert!(filtered.iter().all(|x| x.abs() <= 1e-4));
     }
 
     #[test]
+    fn a_border_is_left_out() {
+        let image = Image::from_fn(150, 130, |u, v| (u * u + 7 * v) as u8);
+        let mut filter = HighPass::new(150, 130, 6, 0);
+        let whole = filter.apply(&image).chunks(150);
+        let expected: Vec<f32> = whole
+            .skip(10)
+            .take(110)
+            .flat_map(|row| row[10..140].to_vec())
+            .collect();
+        assert_eq!(HighPass::new(150, 130, 6, 10).apply(&image), expected);
+    }
+
+    #[test]
     fn an_empty_image_stays_empty() {
-        assert!(HighPass::new(0, 0, 0).apply(&[]).is_empty());
+        assert!(
+            HighPass::new(0, 0, 0, 0)
+                .apply(&Image::filled(0, 0, 0))
+                .is_empty()
+        );
     }
 }

@@ -12,26 +12,30 @@ mod clahe;
 mod fourier;
 mod gray;
 mod high_pass;
+mod histogram;
+mod levels;
 mod triangle;
 
 use fgs_geom::Image;
 
 use border::{Border, reflect};
+use clahe::Equalizer;
 use high_pass::HighPass;
+use histogram::histogram;
 
 /// Pixels of reflected border, so that the filter, periodic by nature, does not meet the opposite
 /// edge of the image (the authors' value).
 const PADDING: usize = 10;
 
+const BORDER: Border = Border {
+    left: PADDING,
+    top: PADDING,
+    right: PADDING,
+    bottom: PADDING,
+};
+
 /// D0 is the shorter side over this (the authors' value): 24 bins at 640x480.
 const SHORTER_SIDE_PER_CUTOFF_BIN: usize = 20;
-
-/// A response that varies less than this many grey levels is rounding, not structure: one pixel one
-/// level off stands out by almost 1, and single precision is good to about 1e-3.
-const MIN_RESPONSE_RANGE: f32 = 0.01;
-
-/// Values that are compared side by side.
-const LANES: usize = 16;
 
 /// What can be chosen about the segmentation.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -40,29 +44,33 @@ pub struct FrequencySettings {
     pub clahe: bool,
 }
 
-/// Segments images of one size; the filter is made once.
+/// Segments images of one size; filter and buffers are made once.
 pub struct FrequencySegmenter {
-    width: usize,
-    height: usize,
-    settings: FrequencySettings,
+    gray: Image<u8>,
+    /// The grey image with its border, then equalised.
+    padded: Image<u8>,
+    equalizer: Option<Equalizer>,
     high_pass: HighPass,
-    /// The image with its border.
-    padded: Vec<f32>,
+    /// The response in 256 levels.
+    levels: Image<u8>,
 }
 
 impl FrequencySegmenter {
     /// For images of `width` x `height` pixels.
     pub fn new(width: usize, height: usize, settings: FrequencySettings) -> Self {
+        let padded = BORDER.canvas(width, height);
+        let equalizer = Equalizer::new(padded.width(), padded.height());
         Self {
-            width,
-            height,
-            settings,
+            gray: Image::filled(width, height, 0),
+            equalizer: settings.clahe.then_some(equalizer),
             high_pass: HighPass::new(
-                width + 2 * PADDING,
-                height + 2 * PADDING,
+                padded.width(),
+                padded.height(),
                 width.min(height) / SHORTER_SIDE_PER_CUTOFF_BIN,
+                PADDING,
             ),
-            padded: Vec::new(),
+            padded,
+            levels: Image::filled(width, height, 0),
         }
     }
 
@@ -70,77 +78,41 @@ impl FrequencySegmenter {
     /// threshold, nowhere if the image is constant. An image of another size than planned for is
     /// planned for anew.
     pub fn segment(&mut self, color: &Image<[u8; 3]>) -> Image<bool> {
-        self.segment_gray(&gray::gray_from_color(color))
+        self.plan(color.width(), color.height());
+        gray::gray_from_color(color, &mut self.gray);
+        self.mask()
     }
 
     /// [`segment`](Self::segment) for an image that is grey already.
     pub fn segment_gray(&mut self, gray: &Image<u8>) -> Image<bool> {
-        if (gray.width(), gray.height()) != (self.width, self.height) {
-            *self = Self::new(gray.width(), gray.height(), self.settings);
-        }
-        if gray.data().is_empty() {
-            return gray.map(|_| false);
-        }
-        let mut padded = reflect(
-            gray,
-            Border {
-                left: PADDING,
-                top: PADDING,
-                right: PADDING,
-                bottom: PADDING,
-            },
-        );
-        if self.settings.clahe {
-            padded = clahe::equalize(&padded);
-        }
-        self.padded.clear();
-        self.padded
-            .extend(padded.data().iter().map(|&level| f32::from(level)));
-        let filtered = self.high_pass.apply(&self.padded);
-        let rows = filtered.chunks(padded.width()).skip(PADDING);
-        let rows = rows.map(|row| &row[PADDING..PADDING + gray.width()]);
-        let mut levels = Image::filled(gray.width(), gray.height(), 0);
-        pulp::Arch::new().dispatch(|| levels_from_response(rows, &mut levels));
-        let mut histogram = [0; 256];
-        for &level in levels.data() {
-            histogram[usize::from(level)] += 1;
-        }
-        let threshold = triangle::triangle_threshold(&histogram);
-        levels.map(|&level| i32::from(level) > threshold)
+        self.plan(gray.width(), gray.height());
+        self.gray.data_mut().copy_from_slice(gray.data());
+        self.mask()
     }
-}
 
-/// The absolute response (grey levels; by rows) scaled to 0..=255; all zero if it is constant.
-#[inline(always)]
-fn levels_from_response<'a>(rows: impl Iterator<Item = &'a [f32]> + Clone, levels: &mut Image<u8>) {
-    let (mut min, mut max) = ([f32::INFINITY; LANES], [0.0; LANES]);
-    let height = levels.height();
-    for row in rows.clone().take(height) {
-        // Lanes, so that there is no order to keep.
-        let (chunks, rest) = row.as_chunks::<LANES>();
-        for chunk in chunks {
-            for lane in 0..LANES {
-                let value = chunk[lane].abs();
-                min[lane] = if value < min[lane] { value } else { min[lane] };
-                max[lane] = if value > max[lane] { value } else { max[lane] };
-            }
-        }
-        for value in rest {
-            min[0] = min[0].min(value.abs());
-            max[0] = max[0].max(value.abs());
+    fn plan(&mut self, width: usize, height: usize) {
+        if (width, height) != (self.gray.width(), self.gray.height()) {
+            let clahe = self.equalizer.is_some();
+            *self = Self::new(width, height, FrequencySettings { clahe });
         }
     }
-    let min = min.into_iter().fold(f32::INFINITY, f32::min);
-    let max = max.into_iter().fold(0.0, f32::max);
-    if max - min < MIN_RESPONSE_RANGE {
-        return;
-    }
-    let scale = 255.0 / (max - min);
-    let width = levels.width();
-    for (levels, row) in levels.data_mut().chunks_mut(width).zip(rows) {
-        for (level, value) in levels.iter_mut().zip(row) {
-            *level = byte_from_float((value.abs() - min) * scale);
+
+    /// The mask of the grey image.
+    fn mask(&mut self) -> Image<bool> {
+        let mut mask = Image::filled(self.gray.width(), self.gray.height(), false);
+        if mask.data().is_empty() {
+            return mask;
         }
+        reflect(&self.gray, BORDER, &mut self.padded);
+        if let Some(equalizer) = &mut self.equalizer {
+            equalizer.equalize(&mut self.padded);
+        }
+        let response = self.high_pass.apply(&self.padded);
+        let levels = self.levels.data_mut();
+        levels::scale_response(response, levels);
+        let threshold = triangle::triangle_threshold(&histogram([&*levels].into_iter()));
+        levels::mark_above(threshold, levels, mask.data_mut());
+        mask
     }
 }
 
@@ -214,7 +186,9 @@ mod tests {
     fn color_is_segmented_by_its_gray() {
         let color = Image::from_fn(90, 70, |u, v| [(u * v % 251) as u8, (u * u) as u8, v as u8]);
         let mask = segmenter(true).segment(&color);
-        let expected = segmenter(true).segment_gray(&gray::gray_from_color(&color));
+        let mut gray = Image::filled(90, 70, 0);
+        gray::gray_from_color(&color, &mut gray);
+        let expected = segmenter(true).segment_gray(&gray);
         assert_eq!(mask, expected);
         assert!(mask.data().contains(&true) && mask.data().contains(&false));
     }
@@ -224,9 +198,11 @@ mod tests {
         let mut planned = FrequencySegmenter::new(200, 100, FrequencySettings { clahe: false });
         planned.segment_gray(&checks(200, 100));
         let image = checks(77, 130);
-        assert_eq!(
-            planned.segment_gray(&image),
-            segmenter(false).segment_gray(&image)
-        );
+        let expected = segmenter(false).segment_gray(&image);
+        assert_eq!(planned.segment_gray(&image), expected);
+        // Nothing is left of the image before.
+        let flat = Image::filled(77, 130, 90);
+        assert!(!planned.segment_gray(&flat).data().contains(&true));
+        assert_eq!(planned.segment_gray(&image), expected);
     }
 }
