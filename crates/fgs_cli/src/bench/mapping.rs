@@ -9,7 +9,7 @@ use anyhow::ensure;
 use fgs_geom::{RgbdFrame, Se3, View, has_depth};
 use fgs_splat::{
     Adam, Cotangents, CpuModel, Gaussian, GaussianGradients, GaussianModel, Gaussians,
-    LearningRates, LossSettings, ModelSettings, Rasterizer, Seeds, Target, ViewId,
+    LearningRates, LossSettings, ModelSettings, Rasterizer, Rendered, Seeds, Target, ViewId,
     photometric_loss,
 };
 use rand::{RngExt, SeedableRng};
@@ -43,20 +43,6 @@ pub fn bench(input: &Input, bench: &mut Bench<'_>) -> anyhow::Result<()> {
     let pass = rasterizer.render(&gaussians, &view);
     let pairs = pass.evaluations() as f64;
     let rendered = pass.rendered().clone();
-    let mut cotangents = Cotangents::default();
-    let loss = photometric_loss(&rendered, &target, &settings, &mut cotangents)?;
-    let loss_of = |gaussians: &Gaussians| -> anyhow::Result<f64> {
-        let mut rasterizer = Rasterizer::default();
-        let pass = rasterizer.render(gaussians, &view);
-        let mut cotangents = Cotangents::default();
-        let loss = photometric_loss(pass.rendered(), &target, &settings, &mut cotangents)?;
-        Ok(loss.total)
-    };
-    let mut gradients = GaussianGradients::default();
-    Rasterizer::default()
-        .render(&gaussians, &view)
-        .vjp(&cotangents, &mut gradients);
-
     let (scene_ref, view_ref) = (&gaussians, &view);
     let forward_work = format!("{size}, {:.1}M evaluations", 1e-6 * pairs);
     bench(Stage {
@@ -82,44 +68,37 @@ pub fn bench(input: &Input, bench: &mut Bench<'_>) -> anyhow::Result<()> {
         }),
     })?;
 
-    let mut rasterizer = Rasterizer::default();
-    let mut timed = GaussianGradients::default();
-    bench(Stage {
-        name: "forward + backward",
-        work: forward_work,
-        bytes: 3.0 * gaussian_bytes + 40.0 * pixels,
-        flops: (FORWARD_FLOPS + BACKWARD_FLOPS) * pairs,
-        check: Box::new(|| {
-            // Along the colours' gradient the loss changes as the gradient says.
-            let length2: f64 = gradients
-                .d_sh
-                .as_flattened()
-                .iter()
-                .map(|d| f64::from(*d).powi(2))
-                .sum();
-            ensure!(length2 > 0.0, "the gradient is zero");
-            let moved = |step: f64| {
-                let mut moved = gaussians.clone();
-                let colors = moved.sh.as_flattened_mut().iter_mut();
-                for (sh, d) in colors.zip(gradients.d_sh.as_flattened()) {
-                    *sh += (step * f64::from(*d) / length2.sqrt()) as f32;
-                }
-                loss_of(&moved)
-            };
-            // Far enough for single precision, near enough for a straight line.
-            let step = 1.0;
-            let slope = (moved(step)? - moved(-step)?) / (2.0 * step);
-            let error = (slope / length2.sqrt() - 1.0).abs();
-            ensure!(error <= 0.02, "the gradient is off by {error}");
-            Ok(())
-        }),
-        run: Box::new(|| {
-            let mut pass = rasterizer.render(scene_ref, view_ref);
-            pass.vjp(&cotangents, &mut timed);
-            black_box(&timed);
-        }),
-    })?;
+    let color_only = LossSettings {
+        depth_weight: 0.0,
+        ..settings.clone()
+    };
+    for (name, settings) in [
+        ("forward + backward, colour", &color_only),
+        ("forward + backward", &settings),
+    ] {
+        let cotangents = cotangents_of(&rendered, &target, settings)?;
+        let mut rasterizer = Rasterizer::default();
+        let mut timed = GaussianGradients::default();
+        bench(Stage {
+            name,
+            work: forward_work.clone(),
+            bytes: 3.0 * gaussian_bytes + 40.0 * pixels,
+            flops: (FORWARD_FLOPS + BACKWARD_FLOPS) * pairs,
+            check: Box::new(|| check_gradient(&gaussians, &view, &target, settings)),
+            run: Box::new(|| {
+                let mut pass = rasterizer.render(scene_ref, view_ref);
+                pass.vjp(&cotangents, &mut timed);
+                black_box(&timed);
+            }),
+        })?;
+    }
 
+    let cotangents = cotangents_of(&rendered, &target, &settings)?;
+    let mut gradients = GaussianGradients::default();
+    Rasterizer::default()
+        .render(&gaussians, &view)
+        .vjp(&cotangents, &mut gradients);
+    let loss = loss_of(&gaussians, &view, &target, &settings)?;
     let mut timed = Cotangents::default();
     bench(Stage {
         name: "loss and its gradient",
@@ -128,8 +107,7 @@ pub fn bench(input: &Input, bench: &mut Bench<'_>) -> anyhow::Result<()> {
         // Four blurs forward and three back of three channels, 11 taps along each axis.
         flops: 7.0 * 3.0 * 2.0 * 22.0 * pixels,
         check: Box::new(|| {
-            let found = loss.total;
-            ensure!(found.is_finite() && found > 0.0, "{found}");
+            ensure!(loss.is_finite() && loss > 0.0, "{loss}");
             Ok(())
         }),
         run: Box::new(|| {
@@ -152,7 +130,7 @@ pub fn bench(input: &Input, bench: &mut Bench<'_>) -> anyhow::Result<()> {
             adam.extend(GAUSSIANS);
             adam.step(&mut moving, &gradients, &rates)?;
             ensure!(
-                loss_of(&moving)? < loss_of(&gaussians)?,
+                loss_of(&moving, &view, &target, &settings)? < loss,
                 "a step does not lower the loss"
             );
             Ok(())
@@ -190,6 +168,62 @@ pub fn bench(input: &Input, bench: &mut Bench<'_>) -> anyhow::Result<()> {
             model.take_stats();
         }),
     })
+}
+
+fn cotangents_of(
+    rendered: &Rendered,
+    target: &Target,
+    settings: &LossSettings,
+) -> anyhow::Result<Cotangents> {
+    let mut cotangents = Cotangents::default();
+    photometric_loss(rendered, target, settings, &mut cotangents)?;
+    Ok(cotangents)
+}
+
+fn loss_of(
+    gaussians: &Gaussians,
+    view: &View,
+    target: &Target,
+    settings: &LossSettings,
+) -> anyhow::Result<f64> {
+    let mut rasterizer = Rasterizer::default();
+    let pass = rasterizer.render(gaussians, view);
+    let mut cotangents = Cotangents::default();
+    Ok(photometric_loss(pass.rendered(), target, settings, &mut cotangents)?.total)
+}
+
+/// Along the colours' gradient the loss changes as the gradient says.
+fn check_gradient(
+    gaussians: &Gaussians,
+    view: &View,
+    target: &Target,
+    settings: &LossSettings,
+) -> anyhow::Result<()> {
+    let mut rasterizer = Rasterizer::default();
+    let mut gradients = GaussianGradients::default();
+    let mut pass = rasterizer.render(gaussians, view);
+    let cotangents = cotangents_of(pass.rendered(), target, settings)?;
+    pass.vjp(&cotangents, &mut gradients);
+    let by_color = gradients.d_sh.as_flattened();
+    let length = by_color
+        .iter()
+        .map(|d| f64::from(*d).powi(2))
+        .sum::<f64>()
+        .sqrt();
+    ensure!(length > 0.0, "the gradient is zero");
+    let moved = |step: f64| {
+        let mut moved = gaussians.clone();
+        for (sh, d) in moved.sh.as_flattened_mut().iter_mut().zip(by_color) {
+            *sh += (step * f64::from(*d) / length) as f32;
+        }
+        loss_of(&moved, view, target, settings)
+    };
+    // Far enough for single precision, near enough for a straight line.
+    let step = 1.0;
+    let slope = (moved(step)? - moved(-step)?) / (2.0 * step);
+    let error = (slope / length - 1.0).abs();
+    ensure!(error <= 0.02, "the gradient is off by {error}");
+    Ok(())
 }
 
 fn scene(frame: &RgbdFrame) -> anyhow::Result<Gaussians> {
