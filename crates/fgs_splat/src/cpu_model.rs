@@ -203,6 +203,10 @@ impl GaussianModel for CpuModel {
     fn gaussians(&mut self) -> Gaussians {
         self.gaussians.clone()
     }
+
+    fn into_gaussians(self) -> Gaussians {
+        self.gaussians
+    }
 }
 
 impl CpuModel {

@@ -129,7 +129,7 @@ pub fn run<E: Error + 'static>(
             mapping: worker.busy,
             steps: worker.mapper.steps(),
         },
-        gaussians: worker.mapper.gaussians(),
+        gaussians: worker.mapper.into_gaussians(),
     })
 }
 
