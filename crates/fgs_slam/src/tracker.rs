@@ -118,7 +118,7 @@ impl Tracker {
         }
         self.last = world_from_camera.or(self.last);
         let keyframe = world_from_camera.and_then(|pose| {
-            let keyframe = self.decide(frame, pose, &points);
+            let keyframe = self.decide(frame, pose, &points, registration.inliers);
             self.unmapped = keyframe.is_none().then(|| (Arc::clone(frame), pose));
             keyframe
         });
@@ -235,22 +235,29 @@ impl Tracker {
         frame: &Arc<RgbdFrame>,
         world_from_camera: Se3,
         points: &[SurfacePoint],
+        inliers: usize,
     ) -> Option<Keyframe> {
-        let in_world: Vec<Point> = points
-            .par_iter()
-            .map(|point| self.disk(point).transformed(&world_from_camera))
-            .collect();
-        let reach = self.keyframe_config.overlap_distance_m as f32;
-        let overlapping = in_world
-            .par_iter()
-            .filter(|point| self.map.nearest(&point.position, reach).is_some())
-            .count();
+        let in_world = || -> Vec<Point> {
+            let to_world = |point| self.disk(point).transformed(&world_from_camera);
+            points.par_iter().map(to_world).collect()
+        };
+        let overlapping = if self.keyframe_config.overlap_distance_m
+            == self.config.max_correspondence_distance_m
+        {
+            // The registration has counted them already.
+            inliers
+        } else {
+            self.count_overlapping(&in_world())
+        };
         let kind = self
             .policy
-            .decide(overlapping as f64 / in_world.len() as f64)?;
+            .decide(overlapping as f64 / points.len() as f64)?;
         let new_points = match kind {
             KeyframeKind::Mapping => Vec::new(),
-            KeyframeKind::Tracking => self.extend(points, &in_world),
+            KeyframeKind::Tracking => {
+                let in_world = in_world();
+                self.extend(points, &in_world)
+            }
         };
         Some(Keyframe {
             kind,
@@ -258,6 +265,13 @@ impl Tracker {
             world_from_camera,
             new_points,
         })
+    }
+
+    /// How many points have one of the sparse map near.
+    fn count_overlapping(&self, in_world: &[Point]) -> usize {
+        let reach = self.keyframe_config.overlap_distance_m as f32;
+        let overlaps = |point: &&Point| self.map.nearest(&point.position, reach).is_some();
+        in_world.par_iter().filter(overlaps).count()
     }
 
     /// Lets those points join the sparse map that it does not have yet.
