@@ -237,17 +237,13 @@ impl Tracker {
         points: &[SurfacePoint],
         inliers: usize,
     ) -> Option<Keyframe> {
-        let in_world = || -> Vec<Point> {
-            let to_world = |point| self.disk(point).transformed(&world_from_camera);
-            points.par_iter().map(to_world).collect()
-        };
         let overlapping = if self.keyframe_config.overlap_distance_m
             == self.config.max_correspondence_distance_m
         {
             // The registration has counted them already.
             inliers
         } else {
-            self.count_overlapping(&in_world())
+            self.count_overlapping(&self.in_world(points, &world_from_camera))
         };
         let kind = self
             .policy
@@ -255,7 +251,7 @@ impl Tracker {
         let new_points = match kind {
             KeyframeKind::Mapping => Vec::new(),
             KeyframeKind::Tracking => {
-                let in_world = in_world();
+                let in_world = self.in_world(points, &world_from_camera);
                 self.extend(points, &in_world)
             }
         };
@@ -265,6 +261,11 @@ impl Tracker {
             world_from_camera,
             new_points,
         })
+    }
+
+    fn in_world(&self, points: &[SurfacePoint], world_from_camera: &Se3) -> Vec<Point> {
+        let to_world = |point| self.disk(point).transformed(world_from_camera);
+        points.par_iter().map(to_world).collect()
     }
 
     /// How many points have one of the sparse map near.
