@@ -297,12 +297,12 @@ fn a_stopped_run_keeps_what_it_has() {
         };
         let model = CpuModel::new(model_settings(&config.mapping));
         // Slowly, so that a busy machine drops none in real time either.
-        let input = sequence.frames().map(|frame| RgbdFrame {
-            timestamp_secs: 5.0 * frame.timestamp_secs,
-            ..frame
-        });
+        let mut input = frames(&sequence);
+        for frame in input.iter_mut().flatten() {
+            frame.timestamp_secs *= 5.0;
+        }
         let output = run(
-            input.map(Ok::<_, std::io::Error>),
+            input.into_iter(),
             sequence.camera(),
             &config,
             execution,

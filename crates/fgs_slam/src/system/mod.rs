@@ -1,8 +1,7 @@
 //! A whole run: frames in, trajectory and map out. The only folder with threads, one file a mode.
 //!
 //! Every mode drives the same [`Tracker`] and [`Mapper`]. The two talk over two channels, and a
-//! channel whose other end is gone ends every wait. Beside a mapper the tracker computes on threads
-//! of its own: in a common pool each of its short loops would wait for the mapper's long ones.
+//! channel whose other end is gone ends every wait.
 
 mod front;
 mod lockstep;
@@ -16,7 +15,7 @@ use std::time::{Duration, Instant};
 
 use fgs_geom::{Camera, FrameIndex, RgbdFrame, Se3};
 use fgs_splat::{GaussianModel, Gaussians};
-use rayon::{ThreadPool, ThreadPoolBuildError, ThreadPoolBuilder};
+use rayon::ThreadPoolBuildError;
 
 use crate::config::{ConfigError, SlamConfig};
 use crate::keyframes::KeyframeKind;
@@ -131,19 +130,4 @@ pub fn run<E: Error + 'static>(
         },
         gaussians: worker.mapper.into_gaussians(),
     })
-}
-
-/// Threads that compute for the tracker alone, beside the mapper's: its work is a fraction of the
-/// mapper's, and one thread keeps up with 30 frames a second.
-fn tracker_threads() -> usize {
-    /// The tracker's share of the threads.
-    const SHARE: usize = 4;
-    (rayon::current_num_threads() / SHARE).max(1)
-}
-
-fn pool(name: &'static str, threads: usize) -> Result<ThreadPool, ThreadPoolBuildError> {
-    ThreadPoolBuilder::new()
-        .num_threads(threads)
-        .thread_name(move |i| format!("{name} {i}"))
-        .build()
 }

@@ -1,4 +1,5 @@
-//! Tracker and mapper side by side; the tracker waits when the mapper falls behind.
+//! Tracker and mapper side by side, computing on the same threads; the tracker waits when the mapper
+//! falls behind.
 
 use std::error::Error;
 use std::sync::atomic::Ordering;
@@ -8,9 +9,9 @@ use crossbeam_channel::{bounded, unbounded};
 use fgs_geom::RgbdFrame;
 use fgs_splat::{GaussianModel, SparseChanges};
 
+use super::SlamError;
 use super::front::{Front, MapSize};
 use super::worker::{MapperWorker, join};
-use super::{SlamError, pool, tracker_threads};
 use crate::keyframes::Keyframe;
 
 /// The tracker is at most so many frames ahead of the mapper: enough for both to keep busy across a
@@ -22,7 +23,6 @@ pub fn run<E: Error + 'static, M: GaussianModel + Send>(
     front: &mut Front<'_>,
     mut worker: MapperWorker<M>,
 ) -> Result<MapperWorker<M>, SlamError> {
-    front.compute_on(pool("tracker", tracker_threads())?);
     // One message per frame: the channel's capacity is the number of frames the tracker may be
     // ahead, and sending blocks it when the mapper falls behind.
     let (to_mapper, from_tracker) = bounded::<Option<Keyframe>>(MAX_FRAMES_AHEAD);

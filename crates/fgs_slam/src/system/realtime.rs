@@ -2,7 +2,8 @@
 //!
 //! A frame that finds the tracker busy waits; only one that has waited too long is dropped, since
 //! every frame left out makes the next motion larger and tracking less safe. The mapper optimises
-//! all the while, on the threads that the tracker leaves it.
+//! all the while, on the threads that the tracker leaves it: in a common pool each of the tracker's
+//! short loops would wait for the mapper's long ones.
 
 use std::error::Error;
 use std::sync::atomic::Ordering;
@@ -12,10 +13,11 @@ use std::time::{Duration, Instant};
 use crossbeam_channel::{Receiver, RecvTimeoutError, Sender, TryRecvError, unbounded};
 use fgs_geom::RgbdFrame;
 use fgs_splat::{GaussianModel, SparseChanges};
+use rayon::{ThreadPool, ThreadPoolBuildError, ThreadPoolBuilder};
 
+use super::SlamError;
 use super::front::{Front, MapSize};
 use super::worker::{MapperWorker, join};
-use super::{SlamError, pool, tracker_threads};
 use crate::keyframes::Keyframe;
 use crate::mapper::MapperError;
 use crate::tracker::Tracker;
@@ -70,6 +72,20 @@ pub fn run<E: Error + 'static, M: GaussianModel + Send>(
         drop(to_mapper);
         join(mapping)
     })
+}
+
+/// Threads that compute for the tracker alone: its work is a fraction of the mapper's.
+fn tracker_threads() -> usize {
+    /// The tracker's share of the threads.
+    const SHARE: usize = 4;
+    (rayon::current_num_threads() / SHARE).max(1)
+}
+
+fn pool(name: &'static str, threads: usize) -> Result<ThreadPool, ThreadPoolBuildError> {
+    ThreadPoolBuilder::new()
+        .num_threads(threads)
+        .thread_name(move |i| format!("{name} {i}"))
+        .build()
 }
 
 /// Takes over what the mapper reports until a time; `false` as soon as the mapper is gone.
