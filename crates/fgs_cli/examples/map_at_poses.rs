@@ -57,7 +57,7 @@ fn map_quality(
             mapper.step()?;
         }
     }
-    let gaussians = mapper.gaussians();
+    let gaussians = mapper.into_gaussians();
     let mut rasterizer = Rasterizer::default();
     let (mut psnr_db, mut depth_l1_m) = (Vec::new(), Vec::new());
     for frame in dataset.frames(0..dataset.len()) {

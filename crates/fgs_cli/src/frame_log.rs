@@ -51,6 +51,10 @@ pub struct FrameRow {
     pub status: FrameStatus,
     /// Empty unless it became a keyframe.
     pub keyframe: Option<KeyframeName>,
+    /// How many of its points have a surface and were to be registered.
+    pub points: Option<usize>,
+    /// How many points the sparse map had then.
+    pub sparse_points: Option<usize>,
     /// How many of its points correspond to the sparse map.
     pub inliers: Option<usize>,
     /// Root mean square distance of those along the surface normal, metres.
@@ -79,6 +83,8 @@ impl FrameRow {
             timestamp_secs: None,
             status,
             keyframe: None,
+            points: None,
+            sparse_points: None,
             inliers: None,
             residual_m: None,
             conditioning: None,

@@ -59,6 +59,7 @@ enum Command {
 }
 
 fn main() -> ExitCode {
+    memory::keep_large_arrays_apart();
     let outcome = match Cli::parse().command {
         Command::Doctor(args) => doctor::run(&args),
         Command::Run(args) => run::run(&args),

@@ -95,6 +95,8 @@ fn row_of(tracked: &Tracked) -> FrameRow {
     };
     FrameRow {
         timestamp_secs: Some(tracked.timestamp_secs),
+        points: Some(tracked.points),
+        sparse_points: Some(tracked.sparse_points),
         inliers: Some(tracked.inliers),
         residual_m: Some(tracked.residual_m),
         conditioning: Some(tracked.conditioning),

@@ -22,6 +22,7 @@ use crate::interrupt;
 Examples:
   fgs synth recordings/room
   fgs synth recordings/room --layout replica --frames 100 --size 320x240 --noise none --seed 3
+  fgs synth recordings/house --rooms 7 --frames 2100
   fgs run recordings/room --eval")]
 pub struct SynthArgs {
     /// Folder to write; must not exist
@@ -29,10 +30,13 @@ pub struct SynthArgs {
     /// Files and names
     #[arg(long, value_enum, default_value_t = Layout::Tum)]
     layout: Layout,
-    /// Another seed, another room and walk
+    /// Another seed, another room and way
     #[arg(long, default_value_t = 1)]
     seed: u64,
-    /// Length; 300 frames lead once round the room
+    /// Rooms in a row to walk through, of this seed and the next
+    #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u8).range(1..=20))]
+    rooms: u8,
+    /// Length; 300 frames lead once round the room; through several rooms, 300 a room are a calm walk
     #[arg(long, default_value_t = 300, value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
     frames: u32,
     /// Size of the images
@@ -72,7 +76,13 @@ pub fn run(args: &SynthArgs) -> anyhow::Result<u8> {
         Noise::Kinect => SensorModel::kinect(),
         Noise::None => SensorModel::exact(),
     };
-    let sequence = Sequence::new(args.seed, args.frames as usize, camera, sensor);
+    let sequence = Sequence::through_rooms(
+        args.seed,
+        args.rooms.into(),
+        args.frames as usize,
+        camera,
+        sensor,
+    );
     let stop = interrupt::stop_flag()?;
     write(
         &sequence,

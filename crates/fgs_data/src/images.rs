@@ -8,7 +8,7 @@ use std::io::{Cursor, Read};
 use std::path::Path;
 
 use fgs_geom::{Camera, Image};
-use image::{DynamicImage, ImageDecoder, ImageError, ImageReader};
+use image::{ColorType, DynamicImage, ImageDecoder, ImageError, ImageReader};
 
 use crate::DataError;
 
@@ -35,8 +35,17 @@ pub(crate) fn read_color(path: &Path, camera: &Camera) -> Result<Image<[u8; 3]>,
             bits,
         });
     }
-    let pixels = decode(decoder, path, camera)?.into_rgb8().into_raw();
-    into_image(pixels.as_chunks().0.to_vec(), path, camera)
+    if decoder.color_type() != ColorType::Rgb8 {
+        let pixels = decode(decoder, path, camera)?.into_rgb8().into_raw();
+        return into_image(pixels.as_chunks().0.to_vec(), path, camera);
+    }
+    // The usual case goes straight to where it stays.
+    check_size(&decoder, path, camera)?;
+    let mut pixels = vec![[0; 3]; camera.width * camera.height];
+    decoder
+        .read_image(pixels.as_flattened_mut())
+        .map_err(|source| image_error(path, source))?;
+    into_image(pixels, path, camera)
 }
 
 /// A depth image of one 16-bit channel, values as in the file.
@@ -62,10 +71,14 @@ fn open(path: &Path) -> Result<ImageReader<Cursor<Vec<u8>>>, DataError> {
         path: path.into(),
         source,
     };
-    let mut bytes = Vec::new();
-    File::open(path)
-        .and_then(|file| file.take(MAX_FILE_BYTES + 1).read_to_end(&mut bytes))
-        .map_err(io_error)?;
+    let read = || {
+        let file = File::open(path)?;
+        let len = file.metadata()?.len().min(MAX_FILE_BYTES);
+        let mut bytes = Vec::with_capacity(len as usize + 1);
+        file.take(MAX_FILE_BYTES + 1).read_to_end(&mut bytes)?;
+        Ok(bytes)
+    };
+    let bytes: Vec<u8> = read().map_err(io_error)?;
     if bytes.len() as u64 > MAX_FILE_BYTES {
         return Err(DataError::FileSize {
             path: path.into(),
@@ -103,11 +116,17 @@ fn decode(
     path: &Path,
     camera: &Camera,
 ) -> Result<DynamicImage, DataError> {
-    let (width, height) = decoder.dimensions();
-    if (width as usize, height as usize) != (camera.width, camera.height) {
-        return Err(size_error((width, height), path, camera));
-    }
+    check_size(&decoder, path, camera)?;
     DynamicImage::from_decoder(decoder).map_err(|source| image_error(path, source))
+}
+
+fn check_size(decoder: &impl ImageDecoder, path: &Path, camera: &Camera) -> Result<(), DataError> {
+    let (width, height) = decoder.dimensions();
+    if (width as usize, height as usize) == (camera.width, camera.height) {
+        Ok(())
+    } else {
+        Err(size_error((width, height), path, camera))
+    }
 }
 
 fn into_image<T>(pixels: Vec<T>, path: &Path, camera: &Camera) -> Result<Image<T>, DataError> {

@@ -221,7 +221,7 @@ impl Default for MappingConfig {
             newest_first: 1,
             min_covisible_share: 0.7,
             covisible_probability: 0.3,
-            max_keyframes: 500,
+            max_keyframes: 200,
             prune_every: 200,
             prune_opacity: 0.005,
             prune_scale_m: 1.0,

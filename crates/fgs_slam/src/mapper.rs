@@ -146,9 +146,9 @@ impl<M: GaussianModel> Mapper<M> {
         changes
     }
 
-    /// A copy of the map.
-    pub fn gaussians(&mut self) -> Gaussians {
-        self.model.gaussians()
+    /// The map.
+    pub fn into_gaussians(self) -> Gaussians {
+        self.model.into_gaussians()
     }
 
     fn admit(&mut self, new_points: &[NewPoint], missing: &Image<bool>) -> Vec<NewPoint> {

@@ -14,6 +14,7 @@ use fgs_gicp::{
 };
 use fgs_splat::{SparseChanges, SparseGaussian, SparseId};
 use nalgebra::{Matrix3, Quaternion, UnitQuaternion, Vector3};
+use rayon::prelude::*;
 
 use crate::config::{KeyframeConfig, SlamConfig, TargetCovariance, TrackingConfig};
 use crate::keyframes::{Keyframe, KeyframeKind, KeyframePolicy, NewPoint};
@@ -54,6 +55,10 @@ pub struct Tracked {
     pub status: TrackingStatus,
     /// Its pose; `None` when lost.
     pub world_from_camera: Option<Se3>,
+    /// How many of its points have a surface and were to be registered.
+    pub points: usize,
+    /// How many points the sparse map had then.
+    pub sparse_points: usize,
     /// How many of its points correspond to the sparse map.
     pub inliers: usize,
     /// Root mean square distance of those along the surface normal, metres.
@@ -102,6 +107,7 @@ impl Tracker {
     pub fn track(&mut self, frame: &Arc<RgbdFrame>) -> (Tracked, Option<Keyframe>) {
         let start = Instant::now();
         let points = self.grid.surface_points(&frame.depth_m, &frame.camera);
+        let sparse_points = self.map.len();
         let registration = self.register(&points);
         let world_from_camera = registration.world_from_camera;
         match (world_from_camera, self.last) {
@@ -112,7 +118,7 @@ impl Tracker {
         }
         self.last = world_from_camera.or(self.last);
         let keyframe = world_from_camera.and_then(|pose| {
-            let keyframe = self.decide(frame, pose, &points);
+            let keyframe = self.decide(frame, pose, &points, registration.inliers);
             self.unmapped = keyframe.is_none().then(|| (Arc::clone(frame), pose));
             keyframe
         });
@@ -124,6 +130,8 @@ impl Tracker {
                 None => TrackingStatus::Lost,
             },
             world_from_camera,
+            points: points.len(),
+            sparse_points,
             inliers: registration.inliers,
             residual_m: registration.residual_m,
             conditioning: registration.conditioning,
@@ -175,7 +183,7 @@ impl Tracker {
         if points.len() < MIN_POINTS {
             return Registration::default();
         }
-        let source: Vec<Point> = points.iter().map(|point| self.disk(point)).collect();
+        let source: Vec<Point> = points.par_iter().map(|point| self.disk(point)).collect();
         let settings = Settings {
             max_correspondence_distance_m: self.config.max_correspondence_distance_m as f32,
             rotation_epsilon_rad: ROTATION_EPSILON_RAD,
@@ -227,22 +235,25 @@ impl Tracker {
         frame: &Arc<RgbdFrame>,
         world_from_camera: Se3,
         points: &[SurfacePoint],
+        inliers: usize,
     ) -> Option<Keyframe> {
-        let in_world: Vec<Point> = points
-            .iter()
-            .map(|point| self.disk(point).transformed(&world_from_camera))
-            .collect();
-        let reach = self.keyframe_config.overlap_distance_m as f32;
-        let overlapping = in_world
-            .iter()
-            .filter(|point| self.map.nearest(&point.position, reach).is_some())
-            .count();
+        let overlapping = if self.keyframe_config.overlap_distance_m
+            == self.config.max_correspondence_distance_m
+        {
+            // The registration has counted them already.
+            inliers
+        } else {
+            self.count_overlapping(&self.in_world(points, &world_from_camera))
+        };
         let kind = self
             .policy
-            .decide(overlapping as f64 / in_world.len() as f64)?;
+            .decide(overlapping as f64 / points.len() as f64)?;
         let new_points = match kind {
             KeyframeKind::Mapping => Vec::new(),
-            KeyframeKind::Tracking => self.extend(points, &in_world),
+            KeyframeKind::Tracking => {
+                let in_world = self.in_world(points, &world_from_camera);
+                self.extend(points, &in_world)
+            }
         };
         Some(Keyframe {
             kind,
@@ -250,6 +261,18 @@ impl Tracker {
             world_from_camera,
             new_points,
         })
+    }
+
+    fn in_world(&self, points: &[SurfacePoint], world_from_camera: &Se3) -> Vec<Point> {
+        let to_world = |point| self.disk(point).transformed(world_from_camera);
+        points.par_iter().map(to_world).collect()
+    }
+
+    /// How many points have one of the sparse map near.
+    fn count_overlapping(&self, in_world: &[Point]) -> usize {
+        let reach = self.keyframe_config.overlap_distance_m as f32;
+        let overlaps = |point: &&Point| self.map.nearest(&point.position, reach).is_some();
+        in_world.par_iter().filter(overlaps).count()
     }
 
     /// Lets those points join the sparse map that it does not have yet.

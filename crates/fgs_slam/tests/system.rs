@@ -121,6 +121,34 @@ fn realtime_ends_and_counts_every_frame() {
     assert!(output.timings.total >= Duration::from_secs_f64(29.0 / 30.0));
 }
 
+/// A tracker that takes longer than frames take to come.
+#[test]
+fn realtime_drops_what_has_waited_too_long_and_tracks_the_rest() {
+    struct Slow;
+    impl Observer for Slow {
+        fn on(&mut self, event: &SlamEvent<'_>) {
+            if matches!(event, SlamEvent::Frame { .. }) {
+                std::thread::sleep(Duration::from_millis(60));
+            }
+        }
+    }
+    let sequence = room(30);
+    let config = config();
+    let output = run(
+        frames(&sequence).into_iter(),
+        sequence.camera(),
+        &config,
+        Execution::Realtime,
+        CpuModel::new(model_settings(&config.mapping)),
+        &mut Slow,
+        &AtomicBool::new(false),
+    )
+    .unwrap();
+    // The second frame is some 30 ms late when its turn comes, and not dropped for that.
+    assert!(output.frames[1].index.0 == 1 && output.frames_dropped >= 10);
+    assert_eq!(output.frames.len() + output.frames_dropped, 30);
+}
+
 #[test]
 fn lockstep_repeats_itself_on_any_number_of_threads() {
     let sequence = room(16);
@@ -268,9 +296,13 @@ fn a_stopped_run_keeps_what_it_has() {
             stop: &stop,
         };
         let model = CpuModel::new(model_settings(&config.mapping));
-        let input = frames(&sequence).into_iter();
+        // Slowly, so that a busy machine drops none in real time either.
+        let mut input = frames(&sequence);
+        for frame in input.iter_mut().flatten() {
+            frame.timestamp_secs *= 5.0;
+        }
         let output = run(
-            input,
+            input.into_iter(),
             sequence.camera(),
             &config,
             execution,

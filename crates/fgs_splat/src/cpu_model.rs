@@ -197,6 +197,10 @@ impl GaussianModel for CpuModel {
     fn gaussians(&mut self) -> Gaussians {
         self.gaussians.clone()
     }
+
+    fn into_gaussians(self) -> Gaussians {
+        self.gaussians
+    }
 }
 
 impl CpuModel {

@@ -160,4 +160,12 @@ pub trait GaussianModel {
 
     /// A copy of all gaussians.
     fn gaussians(&mut self) -> Gaussians;
+
+    /// All gaussians, once they are final; without a copy where they lie in memory.
+    fn into_gaussians(mut self) -> Gaussians
+    where
+        Self: Sized,
+    {
+        self.gaussians()
+    }
 }

@@ -1,9 +1,13 @@
 //! Sets of gaussians as bits, so that the overlap of two views is a count of common bits.
 
-/// A set of gaussian indices.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
+/// Words of a page: 4096 gaussians, some seeds of one keyframe.
+const PAGE_WORDS: usize = 64;
+
+/// A set of gaussian indices. Pages without any take no memory, so that a view's set grows with
+/// what the view shows and not with the map.
+#[derive(Clone, Debug, Default)]
 pub(crate) struct VisibleSet {
-    words: Vec<u64>,
+    pages: Vec<Option<Box<[u64; PAGE_WORDS]>>>,
 }
 
 impl VisibleSet {
@@ -19,26 +23,37 @@ impl VisibleSet {
     /// Adds an index.
     pub(crate) fn insert(&mut self, index: usize) {
         let word = index / 64;
-        if word >= self.words.len() {
-            self.words.resize(word + 1, 0);
+        let page = word / PAGE_WORDS;
+        if page >= self.pages.len() {
+            self.pages.resize(page + 1, None);
         }
-        self.words[word] |= 1 << (index % 64);
+        let words = self.pages[page].get_or_insert_with(|| Box::new([0; PAGE_WORDS]));
+        words[word % PAGE_WORDS] |= 1 << (index % 64);
     }
 
     /// How many indices it holds.
     pub(crate) fn count(&self) -> usize {
-        self.words.iter().map(|w| w.count_ones() as usize).sum()
+        self.count_common(self)
     }
 
     /// How many indices both sets hold.
     pub(crate) fn count_common(&self, other: &Self) -> usize {
-        let pairs = self.words.iter().zip(&other.words);
-        pairs.map(|(a, b)| (a & b).count_ones() as usize).sum()
+        let pages = self.pages.iter().zip(&other.pages);
+        let common = pages.filter_map(|(a, b)| Some(a.as_ref()?.iter().zip(b.as_ref()?.iter())));
+        common
+            .flatten()
+            .map(|(a, b)| (a & b).count_ones() as usize)
+            .sum()
     }
 
     /// Its indices, ascending.
     pub(crate) fn iter(&self) -> impl Iterator<Item = usize> + '_ {
-        self.words.iter().enumerate().flat_map(|(i, &word)| {
+        let pages = self.pages.iter().enumerate();
+        let words = pages.flat_map(|(page, words)| {
+            let words = words.iter().flat_map(|words| words.iter().enumerate());
+            words.map(move |(i, word)| (PAGE_WORDS * page + i, *word))
+        });
+        words.flat_map(|(i, word)| {
             let mut rest = word;
             std::iter::from_fn(move || {
                 let bit = (rest != 0).then(|| rest.trailing_zeros() as usize)?;
@@ -66,12 +81,12 @@ mod tests {
 
     #[test]
     fn counts_and_iterates() {
-        let a = VisibleSet::from_indices(&[0, 63, 64, 200]);
-        let b = VisibleSet::from_indices(&[63, 64, 65]);
-        assert_eq!(a.count(), 4);
+        let a = VisibleSet::from_indices(&[0, 63, 64, 200, 4096, 90_000]);
+        let b = VisibleSet::from_indices(&[63, 64, 65, 4097]);
+        assert_eq!(a.count(), 6);
         assert_eq!(a.count_common(&b), 2);
         assert_eq!(b.count_common(&a), 2);
-        assert_eq!(a.iter().collect::<Vec<_>>(), [0, 63, 64, 200]);
+        assert_eq!(a.iter().collect::<Vec<_>>(), [0, 63, 64, 200, 4096, 90_000]);
         assert_eq!(VisibleSet::default().iter().next(), None);
     }
 

@@ -9,6 +9,11 @@ use crate::builder::{Builder, Place};
 use crate::decor::{VIVID, books, ornament, paint};
 use crate::pattern::{Pattern, Rgb, srgb};
 
+/// Clear width and height of a doorway, and how far its frame reaches from its middle.
+pub(crate) const DOORWAY_WIDTH_M: f64 = 1.0;
+pub(crate) const DOORWAY_HEIGHT_M: f64 = 2.1;
+pub(crate) const DOORWAY_REACH_M: f64 = 0.58;
+
 /// Colours of upholstery.
 const CLOTHS: [u32; 6] = [0x5a6f86, 0x8c4a3c, 0x6d7a52, 0xb59a6a, 0x4a4a56, 0xa9a49a];
 
@@ -284,4 +289,13 @@ pub(crate) fn door(b: &mut Builder, at: Place, wood: Rgb) {
         }
     }
     b.ball(at, [-0.36, 0.08, 1.02], [0.03; 3], paint(0xc2a860));
+}
+
+/// The frame of an open doorway about x = 0: 0.06 deep.
+pub(crate) fn doorway(b: &mut Builder, at: Place, wood: Rgb) {
+    let frame = Pattern::Wood(wood * 0.8);
+    let (side, top, reach) = (0.5 * DOORWAY_WIDTH_M, DOORWAY_HEIGHT_M, DOORWAY_REACH_M);
+    b.block(at, [-reach, 0.0, 0.0], [-side, 0.06, top], frame);
+    b.block(at, [side, 0.0, 0.0], [reach, 0.06, top], frame);
+    b.block(at, [-reach, 0.0, top], [reach, 0.06, top + 0.08], frame);
 }

@@ -12,6 +12,9 @@ use crate::decor;
 use crate::furniture as f;
 use crate::pattern::{Pattern, Rgb, srgb};
 
+/// Thickness of a wall, metres.
+pub(crate) const WALL_M: f64 = 0.2;
+
 /// Left free at both ends of a wall for the corner and the furniture of the next wall, metres.
 const CORNER_M: f64 = 0.62;
 
@@ -71,16 +74,32 @@ impl Item {
     }
 }
 
-/// Fills the room: `kind` 0 is a living room, 1 a study, 2 a dining room. Returns its size.
-pub(crate) fn furnish(b: &mut Builder, kind: u64) -> Vector3<f64> {
-    let size = Vector3::new(
+/// A room to be furnished.
+pub(crate) struct Plan {
+    /// The middle of its floor.
+    pub middle: Place,
+    /// Width (x), depth (y) and height (z) inside, metres.
+    pub size: Vector3<f64>,
+    /// 0 is a living room, 1 a study, 2 a dining room.
+    pub kind: u64,
+    /// Whether a doorway is in the middle of the wall at +x, and of that at -x.
+    pub doorways: [bool; 2],
+}
+
+/// The size of the next room.
+pub(crate) fn size(b: &mut Builder) -> Vector3<f64> {
+    Vector3::new(
         b.between(5.0, 5.8),
         b.between(4.6, 5.2),
         b.between(2.5, 2.75),
-    );
+    )
+}
+
+/// Walls, furniture and lamps of a room.
+pub(crate) fn furnish(b: &mut Builder, plan: &Plan) {
     let wood = srgb(b.choose([0x8a5a36, 0xb98a5a, 0x5f4030, 0xc9b08c]));
-    shell(b, size, kind);
-    let mut walls = match kind {
+    shell(b, plan);
+    let mut walls = match plan.kind {
         0 => [
             vec![Item::Sofa, Item::Bookcase],
             vec![Item::Window],
@@ -100,40 +119,77 @@ pub(crate) fn furnish(b: &mut Builder, kind: u64) -> Vector3<f64> {
             vec![Item::Door, Item::Bookcase],
         ],
     };
-    for (items, (place, length)) in walls.iter_mut().zip(along_walls(&size)) {
-        items.shuffle(&mut b.rng);
-        stand_along(b, items, place, length, wood);
+    if plan.doorways != [false; 2] {
+        // Beside a doorway there is no room for a window.
+        walls[2] = vec![Item::Window, Item::Bookcase];
     }
-    corners(b, &size);
-    middle(b, size.z, kind, wood);
-    size
+    for (items, wall) in walls.iter_mut().zip(plan.walls()) {
+        if wall.has_doorway {
+            beside_doorway(b, &wall, wood);
+        } else {
+            items.shuffle(&mut b.rng);
+            stand_along(b, items, &wall, wood);
+        }
+    }
+    corners(b, plan);
+    middle(b, plan, wood);
 }
 
-/// For each wall the place at its left end (from behind), y into the room, and its length.
-fn along_walls(size: &Vector3<f64>) -> [(Place, f64); 4] {
-    let (x, y) = (0.5 * size.x, 0.5 * size.y);
-    [
-        (Place::new([-x, -y, 0.0], 0.0), size.x),
-        (Place::new([x, -y, 0.0], FRAC_PI_2), size.y),
-        (Place::new([x, y, 0.0], PI), size.x),
-        (Place::new([-x, y, 0.0], -FRAC_PI_2), size.y),
-    ]
+/// The inside of a wall.
+struct Wall {
+    /// Its left end (from behind), y into the room.
+    place: Place,
+    length: f64,
+    has_doorway: bool,
 }
 
-fn stand_along(b: &mut Builder, items: &[Item], wall: Place, length: f64, wood: Rgb) {
-    let free = length - 2.0 * CORNER_M - items.iter().map(|item| item.width()).sum::<f64>();
+impl Plan {
+    /// The walls at -y, +x, +y and -x.
+    fn walls(&self) -> [Wall; 4] {
+        let (x, y) = (0.5 * self.size.x, 0.5 * self.size.y);
+        let wall = |corner: [f64; 2], yaw: f64, length: f64, has_doorway: bool| Wall {
+            place: self.middle.at([corner[0], corner[1], 0.0], yaw),
+            length,
+            has_doorway,
+        };
+        [
+            wall([-x, -y], 0.0, self.size.x, false),
+            wall([x, -y], FRAC_PI_2, self.size.y, self.doorways[0]),
+            wall([x, y], PI, self.size.x, false),
+            wall([-x, y], -FRAC_PI_2, self.size.y, self.doorways[1]),
+        ]
+    }
+}
+
+fn stand_along(b: &mut Builder, items: &[Item], wall: &Wall, wood: Rgb) {
+    let free = wall.length - 2.0 * CORNER_M - items.iter().map(|item| item.width()).sum::<f64>();
     let gap = free.max(0.0) / (items.len() + 1) as f64;
     let mut x = CORNER_M + gap;
     for item in items {
-        item.put(b, wall.at([x, 0.0, 0.0], 0.0), wood);
+        item.put(b, wall.place.at([x, 0.0, 0.0], 0.0), wood);
         x += item.width() + gap;
     }
 }
 
-fn shell(b: &mut Builder, size: Vector3<f64>, kind: u64) {
+/// A bookcase on either side.
+fn beside_doorway(b: &mut Builder, wall: &Wall, wood: Rgb) {
+    f::doorway(b, wall.place.at([0.5 * wall.length, 0.0, 0.0], 0.0), wood);
+    let item = Item::Bookcase;
+    for x in [CORNER_M, wall.length - CORNER_M - item.width()] {
+        item.put(b, wall.place.at([x, 0.0, 0.0], 0.0), wood);
+    }
+}
+
+fn shell(b: &mut Builder, plan: &Plan) {
+    let Plan {
+        middle: world,
+        size,
+        kind,
+        doorways: [doorway_ahead, doorway_behind],
+    } = *plan;
     let (x, y, z) = (0.5 * size.x, 0.5 * size.y, size.z);
-    // Thickness; walls overlap at the corners so that no ray slips through.
-    const T: f64 = 0.2;
+    // Walls overlap at the corners so that no ray slips through.
+    const T: f64 = WALL_M;
     let pale = srgb(b.choose([0xe8e0d0, 0xdcd8cc, 0xcfd8d6, 0xe6d9c4]));
     let floor = match kind {
         0 => Pattern::Planks(srgb(b.choose([0x9a6a42, 0xb58a5c, 0x7a5238]))),
@@ -156,34 +212,48 @@ fn shell(b: &mut Builder, size: Vector3<f64>, kind: u64) {
     };
     let accented = b.rng.random_range(0..4);
     let slabs = [
-        ([-x - T, -y - T, 0.0], [x + T, -y, z]),
-        ([x, -y - T, 0.0], [x + T, y + T, z]),
-        ([-x - T, y, 0.0], [x + T, y + T, z]),
-        ([-x - T, -y - T, 0.0], [-x, y + T, z]),
+        ([-x - T, -y - T, 0.0], [x + T, -y, z], false),
+        ([x, -y - T, 0.0], [x + T, y + T, z], doorway_ahead),
+        ([-x - T, y, 0.0], [x + T, y + T, z], false),
+        ([-x - T, -y - T, 0.0], [-x, y + T, z], doorway_behind),
     ];
-    let world = Place::new([0.0; 3], 0.0);
-    for (i, (low, high)) in slabs.into_iter().enumerate() {
+    for (i, (low, high, has_doorway)) in slabs.into_iter().enumerate() {
         let pattern = if i == accented {
             accent
         } else {
             Pattern::Plaster(pale)
         };
-        b.block(world, low, high, pattern);
+        if has_doorway {
+            let (side, top) = (0.5 * f::DOORWAY_WIDTH_M, f::DOORWAY_HEIGHT_M);
+            b.block(world, low, [high[0], -side, high[2]], pattern);
+            b.block(world, [low[0], side, low[2]], high, pattern);
+            b.block(world, [low[0], -side, top], [high[0], side, z], pattern);
+        } else {
+            b.block(world, low, high, pattern);
+        }
     }
     b.block(world, [-x - T, -y - T, -T], [x + T, y + T, 0.0], floor);
     let white = Pattern::Paint(srgb(0xe9e7e2));
     b.block(world, [-x - T, -y - T, z], [x + T, y + T, z + T], white);
-    for (wall, length) in along_walls(&size) {
-        b.block(wall, [0.0, 0.0, 0.0], [length, 0.015, 0.09], white);
-        b.block(wall, [0.0, 0.0, z - 0.07], [length, 0.05, z], white);
+    for wall in plan.walls() {
+        let (place, length) = (wall.place, wall.length);
+        if wall.has_doorway {
+            let left = 0.5 * length - f::DOORWAY_REACH_M;
+            b.block(place, [0.0; 3], [left, 0.015, 0.09], white);
+            let right = length - left;
+            b.block(place, [right, 0.0, 0.0], [length, 0.015, 0.09], white);
+        } else {
+            b.block(place, [0.0, 0.0, 0.0], [length, 0.015, 0.09], white);
+        }
+        b.block(place, [0.0, 0.0, z - 0.07], [length, 0.05, z], white);
     }
 }
 
-fn corners(b: &mut Builder, size: &Vector3<f64>) {
-    let (x, y) = (0.5 * size.x - 0.36, 0.5 * size.y - 0.36);
+fn corners(b: &mut Builder, plan: &Plan) {
+    let (x, y) = (0.5 * plan.size.x - 0.36, 0.5 * plan.size.y - 0.36);
     let mut points = [[-x, -y, 0.0], [x, -y, 0.0], [x, y, 0.0], [-x, y, 0.0]];
     points.shuffle(&mut b.rng);
-    let [first, second, third, fourth] = points.map(|point| Place::new(point, 0.0));
+    let [first, second, third, fourth] = points.map(|point| plan.middle.at(point, 0.0));
     decor::floor_lamp(b, first);
     decor::plant(b, second);
     decor::plant(b, third);
@@ -207,8 +277,8 @@ fn corners(b: &mut Builder, size: &Vector3<f64>) {
     );
 }
 
-fn middle(b: &mut Builder, height: f64, kind: u64, wood: Rgb) {
-    let world = Place::new([0.0; 3], 0.0);
+fn middle(b: &mut Builder, plan: &Plan, wood: Rgb) {
+    let (world, kind) = (plan.middle, plan.kind);
     let at = world.at([0.0; 3], b.between(-0.25, 0.25));
     let rug = b.choose([
         [0x7a2430, 0xd9c08a, 0x2c3350],
@@ -241,5 +311,5 @@ fn middle(b: &mut Builder, height: f64, kind: u64, wood: Rgb) {
         let (y, yaw) = (b.between(-0.12, 0.12), b.between(-PI, PI));
         decor::ornament(b, at.at([x, y, top], yaw));
     }
-    decor::pendant(b, world, height);
+    decor::pendant(b, world, plan.size.z);
 }

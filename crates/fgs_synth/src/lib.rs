@@ -26,6 +26,7 @@ mod room;
 mod sensor;
 mod sequence;
 mod shape;
+mod walk;
 mod write;
 
 pub use path::{CameraPath, FRAMES_PER_LOOP};

@@ -25,6 +25,9 @@ const BOUNCE_SIDE: usize = 6;
 const OFFSET_M: f64 = 1e-4;
 /// Lamps count as at least this far away, metres, so that none burns a hole into its own shade.
 const NEAREST_LAMP_M: f64 = 0.35;
+/// Lamps farther away, metres, give nothing: no room is that long, and what falls through doorways
+/// from there is less than a hundredth of the light of the room's own lamps.
+const FARTHEST_LAMP_M: f64 = 9.0;
 /// Light of the second and further bounces as a share of the first: with a mean albedo of 0.4 the
 /// geometric series has 0.4 / 0.6 left.
 const FURTHER_BOUNCES: f32 = 0.67;
@@ -195,6 +198,9 @@ struct Place {
 fn lamp_light(room: &Room, place: &Place, rng: &mut Pcg64Mcg) -> Rgb {
     let mut sum = Rgb::zeros();
     for lamp in &room.lamps {
+        if (lamp.center - place.point).norm() > FARTHEST_LAMP_M {
+            continue;
+        }
         let mut arriving = 0.0;
         for _ in 0..LAMP_RAYS {
             let jitter = Vector3::from_fn(|_, _| rng.random_range(-1.0..1.0));
@@ -317,7 +323,7 @@ mod tests {
             Pattern::Paint(Rgb::zeros()),
         );
         b.lamp(at, [0.0, 0.0, 1.0], [0.01; 3], Rgb::repeat(3.0));
-        let room = Room::light_up(b, Vector3::zeros(), 1);
+        let room = Room::unlit(b, Vector3::zeros());
         let map = LightMap::bake(&room, 1);
         // The floor's top is face 5, its corner at (-2, -2).
         let at = |x: f64, y: f64| map.at(0, 5, [x + 2.0, y + 2.0]).x;

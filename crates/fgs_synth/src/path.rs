@@ -37,45 +37,35 @@ impl Sway {
     }
 }
 
-/// A closed path round the middle of a room, looking across it.
-pub struct CameraPath {
-    start: f64,
-    direction: f64,
+/// How a hand moves a camera about the way it is meant to go.
+pub(crate) struct Hand {
     position: [Sway; 3],
     yaw: Sway,
     pitch: Sway,
     roll: Sway,
 }
 
-impl CameraPath {
-    /// The path of a seed. It keeps within 1.5 m of the vertical through the origin and between
-    /// 1.2 m and 1.8 m above the floor.
-    pub fn new(seed: u64) -> Self {
-        let mut rng = Pcg64Mcg::seed_from_u64(seed ^ 0xca3e_4a00);
+impl Hand {
+    pub fn new(rng: &mut Pcg64Mcg) -> Self {
         let degrees = PI / 180.0;
         Self {
-            start: rng.random_range(0.0..TAU),
-            direction: if rng.random() { 1.0 } else { -1.0 },
-            position: [0.16, 0.16, 0.12].map(|amplitude| Sway::new(&mut rng, amplitude, 0.0012)),
-            yaw: Sway::new(&mut rng, 14.0 * degrees, 0.12 * degrees),
-            pitch: Sway::new(&mut rng, 12.0 * degrees, 0.1 * degrees),
-            roll: Sway::new(&mut rng, 4.0 * degrees, 0.08 * degrees),
+            position: [0.16, 0.16, 0.12].map(|amplitude| Sway::new(rng, amplitude, 0.0012)),
+            yaw: Sway::new(rng, 14.0 * degrees, 0.12 * degrees),
+            pitch: Sway::new(rng, 12.0 * degrees, 0.1 * degrees),
+            roll: Sway::new(rng, 4.0 * degrees, 0.08 * degrees),
         }
     }
 
-    /// The pose after a share of the loop: 0 and 1 are the same. World axes: z up.
-    pub fn world_from_camera(&self, phase: f64) -> Se3 {
-        // Radii with a circumference of 6.8 m, which leaves room for the furniture along walls.
-        const RADII: [f64; 2] = [1.2, 0.95];
+    /// The pose of a camera meant to be above (x, y) and to look along `yaw` (rad, 0 is x), within
+    /// 0.25 m of there and between 1.2 m and 1.8 m above the floor. The sway repeats itself with
+    /// whole numbers of `phase`.
+    pub fn world_from_camera(&self, phase: f64, [x, y]: [f64; 2], yaw: f64) -> Se3 {
         const EYE_HEIGHT: f64 = 1.5;
         /// Down, so that floor and furniture fill the view rather than the ceiling.
         const PITCH: f64 = -0.30;
-        let angle = self.start + self.direction * TAU * phase;
         let sway = Vector3::from_fn(|i, _| self.position[i].at(phase));
-        let position =
-            Vector3::new(RADII[0] * angle.cos(), RADII[1] * angle.sin(), EYE_HEIGHT) + sway;
-        // Across the room and somewhat ahead, so that near things pass by.
-        let yaw = angle + self.direction * 0.8 * PI + self.yaw.at(phase);
+        let position = Vector3::new(x, y, EYE_HEIGHT) + sway;
+        let yaw = yaw + self.yaw.at(phase);
         let pitch = PITCH + self.pitch.at(phase);
         let (sin_yaw, cos_yaw) = yaw.sin_cos();
         let (sin_pitch, cos_pitch) = pitch.sin_cos();
@@ -89,6 +79,37 @@ impl CameraPath {
             UnitQuaternion::from_rotation_matrix(&(level * roll)),
             position,
         )
+    }
+}
+
+/// A closed path round the middle of a room, looking across it.
+pub struct CameraPath {
+    start: f64,
+    direction: f64,
+    hand: Hand,
+}
+
+impl CameraPath {
+    /// The path of a seed. It keeps within 1.5 m of the vertical through the origin and between
+    /// 1.2 m and 1.8 m above the floor.
+    pub fn new(seed: u64) -> Self {
+        let mut rng = Pcg64Mcg::seed_from_u64(seed ^ 0xca3e_4a00);
+        Self {
+            start: rng.random_range(0.0..TAU),
+            direction: if rng.random() { 1.0 } else { -1.0 },
+            hand: Hand::new(&mut rng),
+        }
+    }
+
+    /// The pose after a share of the loop: 0 and 1 are the same. World axes: z up.
+    pub fn world_from_camera(&self, phase: f64) -> Se3 {
+        // Radii with a circumference of 6.8 m, which leaves room for the furniture along walls.
+        const RADII: [f64; 2] = [1.2, 0.95];
+        let angle = self.start + self.direction * TAU * phase;
+        let position = [RADII[0] * angle.cos(), RADII[1] * angle.sin()];
+        // Across the room and somewhat ahead, so that near things pass by.
+        let yaw = angle + self.direction * 0.8 * PI;
+        self.hand.world_from_camera(phase, position, yaw)
     }
 }
 

@@ -7,8 +7,9 @@ use rand::SeedableRng;
 use rand_pcg::Pcg64Mcg;
 
 use crate::builder::Builder;
+use crate::builder::Place;
 use crate::bvh::Bvh;
-use crate::layout;
+use crate::layout::{self, Plan, WALL_M};
 use crate::light::{Lamp, LightMap};
 use crate::pattern::{Pattern, Rgb, Spot};
 use crate::shape::{Ray, Solid};
@@ -32,9 +33,11 @@ pub(crate) struct Hit {
     pub face: usize,
 }
 
-/// A closed room with furniture, in metres: z up, the middle of the floor at the origin.
+/// A closed room with furniture, or a row of them, in metres: z up, the middle of the (first)
+/// floor at the origin.
 pub struct Room {
     size: Vector3<f64>,
+    thresholds: Vec<f64>,
     /// Finishes belong to solids by index.
     pub(crate) solids: Vec<Solid>,
     pub(crate) finishes: Vec<Finish>,
@@ -47,32 +50,81 @@ impl Room {
     /// The room of a seed. Seeds differ in size, furniture, materials and light; consecutive seeds
     /// also in kind (living room, study, dining room). Takes about a second, spent on light.
     pub fn new(seed: u64) -> Self {
-        let mut builder = Builder::new(Pcg64Mcg::seed_from_u64(seed));
-        let size = layout::furnish(&mut builder, seed % 3);
-        Self::light_up(builder, size, seed)
+        Self::row(seed, 1)
     }
 
-    /// The room of what a builder has put together.
-    pub(crate) fn light_up(builder: Builder, size: Vector3<f64>, seed: u64) -> Self {
+    /// Rooms in a row along x, of consecutive seeds from `seed`, joined by open doorways in the
+    /// middle of the walls between them, 1 m wide and 2.1 m high.
+    pub fn row(seed: u64, count: usize) -> Self {
+        let mut room = Self::unlit_row(seed, count);
+        room.light = LightMap::bake(&room, seed);
+        room
+    }
+
+    pub(crate) fn unlit_row(seed: u64, count: usize) -> Self {
+        let mut builder = Builder::new(Pcg64Mcg::seed_from_u64(seed));
+        let mut thresholds: Vec<f64> = Vec::new();
+        let mut size: Vector3<f64> = Vector3::zeros();
+        for i in 0..count {
+            let seed = seed.wrapping_add(i as u64);
+            builder.rng = Pcg64Mcg::seed_from_u64(seed);
+            let own_size = layout::size(&mut builder);
+            let half = 0.5 * own_size.x;
+            let middle_x = match thresholds.last() {
+                None => 0.0,
+                Some(threshold) => threshold + WALL_M + half,
+            };
+            if thresholds.is_empty() {
+                thresholds.push(-half);
+            }
+            let has_next = i + 1 < count;
+            let end = middle_x + half + if has_next { WALL_M } else { 0.0 };
+            thresholds.push(end);
+            let plan = Plan {
+                middle: Place::new([middle_x, 0.0, 0.0], 0.0),
+                size: own_size,
+                kind: seed % 3,
+                doorways: [has_next, i > 0],
+            };
+            layout::furnish(&mut builder, &plan);
+            size = Vector3::new(
+                end - thresholds[0],
+                size.y.max(own_size.y),
+                size.z.max(own_size.z),
+            );
+        }
+        Self {
+            thresholds,
+            ..Self::unlit(builder, size)
+        }
+    }
+
+    /// The room of what a builder has put together, in the dark.
+    pub(crate) fn unlit(builder: Builder, size: Vector3<f64>) -> Self {
         let Builder {
             solids,
             finishes,
             lamps,
             ..
         } = builder;
-        let mut room = Self {
+        Self {
             bvh: Bvh::new(&solids),
             light: LightMap::dark(&solids),
             size,
+            thresholds: Vec::new(),
             solids,
             finishes,
             lamps,
-        };
-        room.light = LightMap::bake(&room, seed);
-        room
+        }
     }
 
-    /// Width (x), depth (y) and height (z), metres.
+    /// x of the wall before the first room, of the middle of each doorway, and of the wall behind
+    /// the last room.
+    pub(crate) fn thresholds(&self) -> &[f64] {
+        &self.thresholds
+    }
+
+    /// Width (x), depth (y) and height (z) inside, metres; of a row from its first wall to its last.
     pub fn size(&self) -> Vector3<f64> {
         self.size
     }

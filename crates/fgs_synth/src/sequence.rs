@@ -8,6 +8,7 @@ use crate::path::{CameraPath, FRAMES_PER_LOOP};
 use crate::render::{Picture, render, render_moving};
 use crate::room::Room;
 use crate::sensor::SensorModel;
+use crate::walk::Walk;
 
 /// Frame rate of every recording.
 pub const FRAMES_PER_SECOND: f64 = 30.0;
@@ -39,13 +40,19 @@ pub fn kinect_camera(width: usize, height: usize) -> Result<Camera, CameraError>
     Camera::new(width, height, intrinsics)
 }
 
+/// Where the camera goes.
+enum Way {
+    Loop(CameraPath),
+    Walk(Walk),
+}
+
 /// A recording of any number of frames, each rendered when asked for.
 #[derive(Clone)]
 pub struct Sequence {
     seed: u64,
     len: usize,
     room: Arc<Room>,
-    path: Arc<CameraPath>,
+    way: Arc<Way>,
     camera: Camera,
     sensor: SensorModel,
 }
@@ -58,7 +65,31 @@ impl Sequence {
             seed,
             len,
             room: Arc::new(Room::new(seed)),
-            path: Arc::new(CameraPath::new(seed)),
+            way: Arc::new(Way::Loop(CameraPath::new(seed))),
+            camera,
+            sensor,
+        }
+    }
+
+    /// `len` frames, at [`FRAMES_PER_SECOND`], of a walk through the rooms of `seed` and the seeds
+    /// after it, in a row from door to door. The frames are spread over the whole walk;
+    /// [`FRAMES_PER_LOOP`] a room are a calm walking pace. One room is that of [`Self::new`].
+    pub fn through_rooms(
+        seed: u64,
+        rooms: usize,
+        len: usize,
+        camera: Camera,
+        sensor: SensorModel,
+    ) -> Self {
+        if rooms <= 1 {
+            return Self::new(seed, len, camera, sensor);
+        }
+        let room = Room::row(seed, rooms);
+        Self {
+            seed,
+            len,
+            way: Arc::new(Way::Walk(Walk::new(seed, room.thresholds()))),
+            room: Arc::new(room),
             camera,
             sensor,
         }
@@ -100,12 +131,13 @@ impl Sequence {
         &self.room
     }
 
-    /// The exact pose of frame `index`; beyond the last frame the walk goes on.
+    /// The exact pose of frame `index`. Beyond the last frame the walk goes on in one room, and has
+    /// ended in several.
     pub fn world_from_camera(&self, index: usize) -> Se3 {
         self.pose_at(index as f64)
     }
 
-    /// Frame `index`, rendered on all of rayon's threads. Beyond the last frame the walk goes on.
+    /// Frame `index`, rendered on all of rayon's threads, at [`Self::world_from_camera`].
     pub fn frame(&self, index: usize) -> RgbdFrame {
         let Picture { radiance, depth_m } = self.exposed(index);
         RgbdFrame {
@@ -123,7 +155,10 @@ impl Sequence {
     }
 
     fn pose_at(&self, frame: f64) -> Se3 {
-        self.path.world_from_camera(frame / FRAMES_PER_LOOP as f64)
+        match &*self.way {
+            Way::Loop(path) => path.world_from_camera(frame / FRAMES_PER_LOOP as f64),
+            Way::Walk(walk) => walk.world_from_camera(frame / (self.len.max(2) - 1) as f64),
+        }
     }
 
     /// Exact depth at the middle of the exposure, and the mean radiance over it.

@@ -151,6 +151,28 @@ fn views_fix_all_directions_and_keep_their_distance() {
     }
 }
 
+#[test]
+fn a_walk_through_rooms_shows_enough_everywhere() {
+    let camera = kinect_camera(160, 112).unwrap();
+    let walk = Sequence::through_rooms(0, 2, 600, camera, SensorModel::exact());
+    assert!((walk.world_from_camera(599).translation.x) >= walk.room().size().x / 2.0);
+    let mut weakest = f64::MAX;
+    for i in (0..600).step_by(12) {
+        let frame = walk.frame(i);
+        weakest = weakest.min(weakest_direction(&frame));
+        let depths = frame.depth_m.data();
+        // Within a Kinect's reach.
+        let usable = depths.iter().filter(|z| (0.4..=5.0).contains(*z)).count();
+        assert!(2 * usable >= depths.len(), "frame {i}: {usable} pixels");
+        let light = mean_difference(&frame.color, &Image::filled(160, 112, [0; 3]));
+        assert!((30.0..=225.0).contains(&light), "frame {i}: {light}");
+    }
+    println!("weakest {weakest:.4}");
+    assert!(weakest >= 0.002, "{weakest}");
+    let one = Sequence::through_rooms(0, 1, 300, camera, SensorModel::exact());
+    assert_eq!(one.frame(7).color, SEQUENCES[0].frame(7).color);
+}
+
 fn mean_difference(a: &Image<[u8; 3]>, b: &Image<[u8; 3]>) -> f64 {
     let (a, b) = (a.data().as_flattened(), b.data().as_flattened());
     let sum: u64 = a

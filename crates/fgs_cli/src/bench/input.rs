@@ -3,6 +3,7 @@
 use std::path::Path;
 
 use anyhow::{Context, bail};
+use fgs_data::Dataset;
 use fgs_geom::{RgbdFrame, Se3};
 use fgs_synth::{SensorModel, Sequence, kinect_camera};
 
@@ -18,6 +19,8 @@ const SEED: u64 = 5;
 /// Frames and where they were taken.
 pub struct Input {
     pub name: String,
+    /// Where the frames came from, if not made up.
+    pub dataset: Option<Dataset>,
     pub frames: Vec<RgbdFrame>,
     pub world_from_camera: Vec<Se3>,
 }
@@ -29,6 +32,7 @@ impl Input {
         let sequence = Sequence::new(SEED, SYNTHETIC_FRAMES, camera, SensorModel::exact());
         Ok(Self {
             name: format!("{width}x{height}"),
+            dataset: None,
             frames: sequence.frames().collect(),
             world_from_camera: (0..sequence.len())
                 .map(|i| sequence.world_from_camera(i))
@@ -59,6 +63,7 @@ impl Input {
         }
         Ok(Self {
             name: recording::name(path),
+            dataset: Some(dataset),
             frames,
             world_from_camera,
         })

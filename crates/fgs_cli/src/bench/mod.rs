@@ -4,6 +4,7 @@
 //! bytes the stage must touch once or to do its operations, whichever is longer, at the rates
 //! measured in the same run.
 
+mod decoding;
 mod input;
 mod machine;
 mod mapping;
@@ -30,7 +31,7 @@ use stage::{Stage, Times};
 #[command(after_long_help = "\
 Examples:
   fgs bench                          synthetic rooms of 640x480 and 1200x680
-  fgs bench recordings/desk --json   frames of a recording with known poses")]
+  fgs bench recordings/desk --json   frames of a recording with known poses, decoding included")]
 pub struct BenchArgs {
     /// Recordings with known poses, in place of the synthetic rooms
     recordings: Vec<PathBuf>,
@@ -119,6 +120,7 @@ pub fn run(args: &BenchArgs) -> anyhow::Result<u8> {
             }
             Ok(())
         };
+        decoding::bench(&input, &mut bench)?;
         tracking::bench(&input, console, &mut bench)?;
         mapping::bench(&input, &mut bench)?;
     }

@@ -1,0 +1,133 @@
+//! A whole run: frames in, trajectory and map out. The only folder with threads, one file a mode.
+//!
+//! Every mode drives the same [`Tracker`] and [`Mapper`]. The two talk over two channels, and a
+//! channel whose other end is gone ends every wait.
+
+mod front;
+mod lockstep;
+mod parallel;
+mod realtime;
+mod worker;
+
+use std::error::Error;
+use std::sync::atomic::AtomicBool;
+use std::time::{Duration, Instant};
+
+use fgs_geom::{Camera, FrameIndex, RgbdFrame, Se3};
+use fgs_splat::{GaussianModel, Gaussians};
+use rayon::ThreadPoolBuildError;
+
+use crate::config::{ConfigError, SlamConfig};
+use crate::keyframes::KeyframeKind;
+use crate::mapper::{Mapper, MapperError};
+use crate::observer::Observer;
+use crate::tracker::{Tracked, Tracker};
+use front::Front;
+use worker::MapperWorker;
+
+/// How tracker and mapper take turns.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Execution {
+    /// In strict turns on one thread: the same result, bit for bit, every time.
+    Lockstep,
+    /// On two threads; the tracker waits when the mapper falls behind, so that the map's quality
+    /// does not depend on the machine.
+    Parallel,
+    /// On two threads, each frame at its own time; frames that come too late for the tracker are
+    /// dropped, and the mapper does what it can.
+    Realtime,
+}
+
+/// A run's result.
+#[derive(Debug)]
+pub struct SlamOutput {
+    /// Every frame that was read and not dropped, in order.
+    pub frames: Vec<Tracked>,
+    /// The keyframes, in order.
+    pub keyframes: Vec<KeyframeRecord>,
+    /// The map.
+    pub gaussians: Gaussians,
+    /// Frames dropped because they came too late.
+    pub frames_dropped: usize,
+    /// Frames that could not be read.
+    pub frames_damaged: usize,
+    /// Where the time went.
+    pub timings: Timings,
+}
+
+/// A keyframe's place in the run.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct KeyframeRecord {
+    /// The frame.
+    pub index: FrameIndex,
+    /// What it is for.
+    pub kind: KeyframeKind,
+    /// Its pose.
+    pub world_from_camera: Se3,
+}
+
+/// Wall-clock times of a run.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Timings {
+    /// From the first frame asked for to the last step done, decoding included.
+    pub total: Duration,
+    /// All the mapper's work.
+    pub mapping: Duration,
+    /// Optimisation steps taken.
+    pub steps: usize,
+}
+
+/// Why a run ended early.
+#[derive(Debug, thiserror::Error)]
+pub enum SlamError {
+    /// A setting is impossible.
+    #[error(transparent)]
+    Config(#[from] ConfigError),
+    /// The mapper failed.
+    #[error("the mapper stopped: {0}")]
+    Mapper(#[from] MapperError),
+    /// The threads of tracker or mapper do not start.
+    #[error("cannot start the threads that compute: {0}")]
+    Threads(#[from] ThreadPoolBuildError),
+    /// The mapper panicked.
+    #[error("the mapper stopped on an internal error")]
+    MapperPanicked,
+}
+
+/// Runs the system over `frames`, all of the given camera, until they end or `stop` is set; either
+/// way everything so far is returned. Frames that are errors are skipped and counted.
+///
+/// # Errors
+/// If the configuration is impossible or the mapper fails.
+pub fn run<E: Error + 'static>(
+    frames: impl Iterator<Item = Result<RgbdFrame, E>>,
+    camera: &Camera,
+    config: &SlamConfig,
+    execution: Execution,
+    model: impl GaussianModel + Send,
+    observer: &mut dyn Observer,
+    stop: &AtomicBool,
+) -> Result<SlamOutput, SlamError> {
+    config.validate()?;
+    let start = Instant::now();
+    let mut front = Front::new(Tracker::new(camera, config), observer, stop);
+    let worker = MapperWorker::new(Mapper::new(model, camera, config), config);
+    let mut worker = match execution {
+        Execution::Lockstep => lockstep::run(frames, &mut front, worker)?,
+        Execution::Parallel => parallel::run(frames, &mut front, worker)?,
+        Execution::Realtime => realtime::run(frames, &mut front, worker)?,
+    };
+    worker.finish(front.finish().as_ref())?;
+    Ok(SlamOutput {
+        frames: front.frames,
+        keyframes: front.keyframes,
+        frames_dropped: front.dropped,
+        frames_damaged: front.damaged,
+        timings: Timings {
+            total: start.elapsed(),
+            mapping: worker.busy,
+            steps: worker.mapper.steps(),
+        },
+        gaussians: worker.mapper.into_gaussians(),
+    })
+}

@@ -1,0 +1,155 @@
+//! Tracker and mapper side by side, each frame at its own time, as from a live camera.
+//!
+//! A frame that finds the tracker busy waits; only one that has waited too long is dropped, since
+//! every frame left out makes the next motion larger and tracking less safe. The mapper optimises
+//! all the while, on the threads that the tracker leaves it: in a common pool each of the tracker's
+//! short loops would wait for the mapper's long ones.
+
+use std::error::Error;
+use std::sync::atomic::Ordering;
+use std::thread;
+use std::time::{Duration, Instant};
+
+use crossbeam_channel::{Receiver, RecvTimeoutError, Sender, TryRecvError, unbounded};
+use fgs_geom::RgbdFrame;
+use fgs_splat::{GaussianModel, SparseChanges};
+use rayon::{ThreadPool, ThreadPoolBuildError, ThreadPoolBuilder};
+
+use super::SlamError;
+use super::front::{Front, MapSize};
+use super::worker::{MapperWorker, join};
+use crate::keyframes::Keyframe;
+use crate::mapper::MapperError;
+use crate::tracker::Tracker;
+
+/// How long a frame may wait for the tracker: three frames at 30 a second, enough to make up for a
+/// moment's delay, and less than people notice as lag.
+const MAX_WAIT: Duration = Duration::from_millis(100);
+
+pub fn run<E: Error + 'static, M: GaussianModel + Send>(
+    frames: impl Iterator<Item = Result<RgbdFrame, E>>,
+    front: &mut Front<'_>,
+    mut worker: MapperWorker<M>,
+) -> Result<MapperWorker<M>, SlamError> {
+    let threads = tracker_threads();
+    front.compute_on(pool("tracker", threads)?);
+    let mapper_pool = pool("mapper", (rayon::current_num_threads() - threads).max(1))?;
+    let (to_mapper, from_tracker) = unbounded::<Keyframe>();
+    let (to_tracker, from_mapper) = unbounded::<SparseChanges>();
+    let map = &MapSize::default();
+    thread::scope(|scope| {
+        let mapping = scope.spawn(move || {
+            mapper_pool.install(|| {
+                optimize_until_disconnected(&mut worker, &from_tracker, &to_tracker, map)
+            })?;
+            Ok(worker)
+        });
+        let mut clock: Option<Clock> = None;
+        let stop = front.stop;
+        for frame in frames.take_while(|_| !stop.load(Ordering::Relaxed)) {
+            let frame = match frame {
+                Err(error) => {
+                    front.skip(&error);
+                    continue;
+                }
+                Ok(frame) => frame,
+            };
+            let clock = clock.get_or_insert_with(|| Clock::started_at(frame.timestamp_secs));
+            let due = clock.due(frame.timestamp_secs);
+            if !follow_mapper_until(due, &mut front.tracker, &from_mapper) {
+                break;
+            }
+            if Instant::now() > due + MAX_WAIT {
+                front.drop_late();
+                continue;
+            }
+            if let Some(keyframe) = front.track(frame, map)
+                && to_mapper.send(keyframe).is_err()
+            {
+                break;
+            }
+        }
+        drop(to_mapper);
+        join(mapping)
+    })
+}
+
+/// Threads that compute for the tracker alone: its work is a fraction of the mapper's.
+fn tracker_threads() -> usize {
+    /// The tracker's share of the threads.
+    const SHARE: usize = 4;
+    (rayon::current_num_threads() / SHARE).max(1)
+}
+
+fn pool(name: &'static str, threads: usize) -> Result<ThreadPool, ThreadPoolBuildError> {
+    ThreadPoolBuilder::new()
+        .num_threads(threads)
+        .thread_name(move |i| format!("{name} {i}"))
+        .build()
+}
+
+/// Takes over what the mapper reports until a time; `false` as soon as the mapper is gone.
+fn follow_mapper_until(
+    until: Instant,
+    tracker: &mut Tracker,
+    from_mapper: &Receiver<SparseChanges>,
+) -> bool {
+    loop {
+        match from_mapper.recv_deadline(until) {
+            Ok(changes) => tracker.update_map(&changes),
+            Err(RecvTimeoutError::Timeout) => return true,
+            Err(RecvTimeoutError::Disconnected) => return false,
+        }
+    }
+}
+
+/// Takes in keyframes as they come and optimises as long as the tracker lives.
+fn optimize_until_disconnected<M: GaussianModel>(
+    worker: &mut MapperWorker<M>,
+    from_tracker: &Receiver<Keyframe>,
+    to_tracker: &Sender<SparseChanges>,
+    map: &MapSize,
+) -> Result<(), MapperError> {
+    let Ok(mut newest) = from_tracker.recv().map(Some) else {
+        return Ok(());
+    };
+    loop {
+        let start = Instant::now();
+        match &newest {
+            Some(keyframe) => worker.mapper.insert(keyframe)?,
+            None => worker.mapper.step()?,
+        }
+        let changes = worker.report(start, map);
+        if to_tracker.send(changes).is_err() {
+            return Ok(());
+        }
+        newest = match from_tracker.try_recv() {
+            Ok(keyframe) => Some(keyframe),
+            Err(TryRecvError::Empty) => None,
+            Err(TryRecvError::Disconnected) => return Ok(()),
+        };
+    }
+}
+
+/// The recording's clock laid over the wall clock.
+struct Clock {
+    start: Instant,
+    first_secs: f64,
+}
+
+impl Clock {
+    fn started_at(first_secs: f64) -> Self {
+        Self {
+            start: Instant::now(),
+            first_secs,
+        }
+    }
+
+    /// When a frame is due. Nonsensical times are due at once.
+    fn due(&self, timestamp_secs: f64) -> Instant {
+        Duration::try_from_secs_f64(timestamp_secs - self.first_secs)
+            .ok()
+            .and_then(|after| self.start.checked_add(after))
+            .unwrap_or(self.start)
+    }
+}
