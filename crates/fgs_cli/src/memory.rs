@@ -9,11 +9,16 @@ pub fn keep_large_arrays_apart() {
     /// Larger than an image or what a step needs per pixel, which come and go all the time.
     #[cfg(all(target_os = "linux", target_env = "gnu"))]
     const LARGE_BYTES: libc::c_int = 8 << 20;
+    /// What is kept of freed memory, so that the next step finds it ready: asking the system for a
+    /// page costs as much as filling it.
     #[cfg(all(target_os = "linux", target_env = "gnu"))]
-    // SAFETY: it sets a number in the allocator, under the allocator's lock. That it may refuse
-    // does no harm.
+    const KEPT_BYTES: libc::c_int = 64 << 20;
+    #[cfg(all(target_os = "linux", target_env = "gnu"))]
+    // SAFETY: it sets numbers in the allocator, under the allocator's lock. That it may refuse does
+    // no harm.
     unsafe {
         libc::mallopt(libc::M_MMAP_THRESHOLD, LARGE_BYTES);
+        libc::mallopt(libc::M_TRIM_THRESHOLD, KEPT_BYTES);
     }
 }
 

@@ -2,8 +2,8 @@
 //!
 //! A frame that finds the tracker busy waits; only one that has waited too long is dropped, since
 //! every frame left out makes the next motion larger and tracking less safe. The mapper optimises
-//! all the while, on the threads that the tracker leaves it: in a common pool each of the tracker's
-//! short loops would wait for the mapper's long ones.
+//! all the while. Each computes on threads of its own: in a common pool each of the tracker's short
+//! loops would wait for the mapper's long ones, whereas the operating system lets it in at once.
 
 use std::error::Error;
 use std::sync::atomic::Ordering;
@@ -31,9 +31,8 @@ pub fn run<E: Error + 'static, M: GaussianModel + Send>(
     front: &mut Front<'_>,
     mut worker: MapperWorker<M>,
 ) -> Result<MapperWorker<M>, SlamError> {
-    let threads = tracker_threads();
-    front.compute_on(pool("tracker", threads)?);
-    let mapper_pool = pool("mapper", (rayon::current_num_threads() - threads).max(1))?;
+    front.compute_on(pool("tracker", tracker_threads())?);
+    let mapper_pool = pool("mapper", rayon::current_num_threads())?;
     let (to_mapper, from_tracker) = unbounded::<Keyframe>();
     let (to_tracker, from_mapper) = unbounded::<SparseChanges>();
     let map = &MapSize::default();

@@ -72,6 +72,11 @@ impl<T: Real> Kernel for ProjectChunk<'_, T> {
         let end = self.first + self.splats.len();
         self.frustum
             .push_in_view::<FUSED>(self.camera, self.gaussians, self.first, end, in_view);
+        if in_view.is_empty() {
+            // Of a large map most is out of view for long: nothing is kept for it.
+            *self.chunk = Chunk::default();
+            return;
+        }
         for indices in in_view.chunks(LANES) {
             let parameters = load_parameters(self.gaussians, indices);
             let mut splats = [[T::ZERO; LANES]; SPLAT];
