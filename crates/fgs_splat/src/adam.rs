@@ -12,7 +12,7 @@
 //! where it is old while it is quick to fit where it is new.
 
 use crate::gaussians::retain;
-use crate::{GaussianGradients, Gaussians};
+use crate::{GaussianGradient, GaussianGradients, Gaussians};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use std::sync::LazyLock;
@@ -70,13 +70,18 @@ impl Default for LearningRates {
 /// Why no step was made.
 #[derive(Debug, Error, PartialEq, Eq)]
 pub enum AdamError {
-    /// The state is for another number of gaussians.
-    #[error("Adam holds {adam} gaussians, but there are {gaussians} and {gradients} gradients")]
+    /// The state is for another number of gaussians, or gradients are missing.
+    #[error(
+        "Adam holds {adam} gaussians, but there are {gaussians}, and {gradients} gradients of \
+         {touched} touched ones"
+    )]
     Length {
         /// Entries of the state.
         adam: usize,
         /// Gaussians to be moved.
         gaussians: usize,
+        /// Touched gaussians.
+        touched: usize,
         /// Gradients.
         gradients: usize,
     },
@@ -138,13 +143,14 @@ impl Adam {
         gradients: &GaussianGradients,
         rates: &LearningRates,
     ) -> Result<usize, AdamError> {
-        let touched = &gradients.touched;
+        let GaussianGradients { touched, gradients } = gradients;
         let len = self.len();
-        if (gaussians.len(), gradients.d_means.len()) != (len, len) {
+        if (gaussians.len(), gradients.len()) != (len, touched.len()) {
             return Err(AdamError::Length {
                 adam: len,
                 gaussians: gaussians.len(),
-                gradients: gradients.d_means.len(),
+                touched: touched.len(),
+                gradients: gradients.len(),
             });
         }
         let ascending = touched.is_sorted_by(|a, b| a < b);
@@ -154,10 +160,12 @@ impl Adam {
 
         let active: Vec<Active> = touched
             .par_iter()
+            .zip(gradients)
             .with_min_len(CHUNK)
-            .filter(|index| is_usable(gradients, **index as usize))
-            .map(|index| Active {
+            .filter(|(_, gradient)| is_usable(gradient))
+            .map(|(index, gradient)| Active {
                 index: *index,
+                gradient,
                 corrections: Corrections::after(self.steps[*index as usize]),
             })
             .collect();
@@ -171,7 +179,7 @@ impl Adam {
             &active,
             |decay| rates.means * decay * decay,
             &mut gaussians.means,
-            &gradients.d_means,
+            |gradient| gradient.d_mean,
             &mut first.means,
             &mut second.means,
         );
@@ -179,7 +187,7 @@ impl Adam {
             &active,
             |decay| rates.quats * decay,
             &mut gaussians.quats,
-            &gradients.d_quats,
+            |gradient| gradient.d_quat,
             &mut first.quats,
             &mut second.quats,
         );
@@ -187,7 +195,7 @@ impl Adam {
             &active,
             |decay| rates.log_scales * decay,
             &mut gaussians.log_scales,
-            &gradients.d_log_scales,
+            |gradient| gradient.d_log_scales,
             &mut first.log_scales,
             &mut second.log_scales,
         );
@@ -195,7 +203,7 @@ impl Adam {
             &active,
             |decay| rates.opacity_logits * decay,
             gaussians.opacity_logits.as_chunks_mut::<1>().0,
-            gradients.d_opacity_logits.as_chunks::<1>().0,
+            |gradient| [gradient.d_opacity_logit],
             first.opacity_logits.as_chunks_mut::<1>().0,
             second.opacity_logits.as_chunks_mut::<1>().0,
         );
@@ -203,7 +211,7 @@ impl Adam {
             &active,
             |decay| rates.sh * decay,
             &mut gaussians.sh,
-            &gradients.d_sh,
+            |gradient| gradient.d_sh,
             &mut first.sh,
             &mut second.sh,
         );
@@ -211,19 +219,20 @@ impl Adam {
     }
 }
 
-/// Whether all gradients of gaussian i, and their squares, are finite.
-fn is_usable(gradients: &GaussianGradients, i: usize) -> bool {
+/// Whether all derivatives, and their squares, are finite.
+fn is_usable(gradient: &GaussianGradient) -> bool {
     let usable = |values: &[f32]| values.iter().all(|g| (g * g).is_finite());
-    usable(&gradients.d_means[i])
-        && usable(&gradients.d_quats[i])
-        && usable(&gradients.d_log_scales[i])
-        && usable(&[gradients.d_opacity_logits[i]])
-        && usable(&gradients.d_sh[i])
+    usable(&gradient.d_mean)
+        && usable(&gradient.d_quat)
+        && usable(&gradient.d_log_scales)
+        && usable(&[gradient.d_opacity_logit])
+        && usable(&gradient.d_sh)
 }
 
 /// A gaussian to be moved.
-struct Active {
+struct Active<'a> {
     index: u32,
+    gradient: &'a GaussianGradient,
     corrections: Corrections,
 }
 
@@ -261,10 +270,10 @@ impl Corrections {
 /// One step of one of the parameters' arrays. `active` ascends; `rate` is the learning rate by what
 /// age has left of it.
 fn update<const K: usize>(
-    active: &[Active],
+    active: &[Active<'_>],
     rate: impl Fn(f32) -> f32 + Sync,
     params: &mut [[f32; K]],
-    gradients: &[[f32; K]],
+    d_params: impl Fn(&GaussianGradient) -> [f32; K] + Sync,
     first: &mut [[f32; K]],
     second: &mut [[f32; K]],
 ) {
@@ -277,16 +286,16 @@ fn update<const K: usize>(
             let start = chunk * CHUNK;
             let position = |end| active.partition_point(|a| (a.index as usize) < end);
             for gaussian in &active[position(start)..position(start + params.len())] {
-                let i = gaussian.index as usize;
-                let local = i - start;
+                let local = gaussian.index as usize - start;
                 let Corrections {
                     decay,
                     first: correction,
                     second_root,
                 } = gaussian.corrections;
                 let rate = rate(decay) * correction;
+                let d_params = d_params(gaussian.gradient);
                 for k in 0..K {
-                    let gradient = gradients[i][k];
+                    let gradient = d_params[k];
                     let (m, v) = (&mut first[local][k], &mut second[local][k]);
                     *m = BETA_1 as f32 * *m + (1.0 - BETA_1) as f32 * gradient;
                     *v = BETA_2 as f32 * *v + (1.0 - BETA_2) as f32 * gradient * gradient;

@@ -207,15 +207,10 @@ impl CpuModel {
     /// Adds the regulariser's gradient for the touched gaussians; returns its share of the loss.
     fn add_regularizer(&mut self) -> f64 {
         let weight = self.settings.loss.scale_weight;
-        let GaussianGradients {
-            touched,
-            d_log_scales: sums,
-            ..
-        } = &mut self.gradients;
+        let GaussianGradients { touched, gradients } = &mut self.gradients;
         let (value, d_log_scales) = scale_regularizer(&self.gaussians, touched);
-        for (index, d_log_scale) in touched.iter().zip(d_log_scales) {
-            let sum = &mut sums[*index as usize];
-            for (sum, d) in sum.iter_mut().zip(d_log_scale) {
+        for (gradient, d_log_scales) in gradients.iter_mut().zip(d_log_scales) {
+            for (sum, d) in gradient.d_log_scales.iter_mut().zip(d_log_scales) {
                 *sum += weight * d;
             }
         }

@@ -24,4 +24,4 @@ pub use model::{
     SparseId, StepStats, ViewId,
 };
 pub use ply::{PlyError, read_ply, write_ply};
-pub use rendering::{Cotangents, GaussianGradients, Rendered};
+pub use rendering::{Cotangents, GaussianGradient, GaussianGradients, Rendered};

@@ -101,47 +101,26 @@ impl<T: Copy + Default> Cotangents<T> {
     }
 }
 
-/// The loss's derivatives by the arrays of [`crate::Gaussians`], each of N entries. Entries of
-/// gaussians that are not in `touched` are zero.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct GaussianGradients<T = f32> {
-    /// By the centres, [N, 3].
-    pub d_means: Vec<[T; 3]>,
-    /// By the quaternions as stored (through their normalisation), [N, 4].
-    pub d_quats: Vec<[T; 4]>,
-    /// By the logarithms of the scales, [N, 3].
-    pub d_log_scales: Vec<[T; 3]>,
-    /// By the opacity logits, [N].
-    pub d_opacity_logits: Vec<T>,
-    /// By the colour coefficients, [N, 3].
-    pub d_sh: Vec<[T; 3]>,
-    /// Indices of the gaussians that contributed to a pixel, ascending.
-    pub touched: Vec<u32>,
+/// The loss's derivatives by one gaussian's parameters as they are stored.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct GaussianGradient<T = f32> {
+    /// By the centre.
+    pub d_mean: [T; 3],
+    /// By the quaternion as stored (through its normalisation).
+    pub d_quat: [T; 4],
+    /// By the logarithms of the scales.
+    pub d_log_scales: [T; 3],
+    /// By the opacity logit.
+    pub d_opacity_logit: T,
+    /// By the colour coefficients.
+    pub d_sh: [T; 3],
 }
 
-impl<T: Copy + Default> GaussianGradients<T> {
-    /// Zero for `len` gaussians, none touched. Costs only the touched entries when the length
-    /// stays.
-    pub fn reset(&mut self, len: usize) {
-        if self.d_means.len() == len {
-            for &index in &self.touched {
-                let index = index as usize;
-                self.d_means[index] = Default::default();
-                self.d_quats[index] = Default::default();
-                self.d_log_scales[index] = Default::default();
-                self.d_opacity_logits[index] = T::default();
-                self.d_sh[index] = Default::default();
-            }
-            self.touched.clear();
-        } else {
-            *self = Self {
-                d_means: vec![Default::default(); len],
-                d_quats: vec![Default::default(); len],
-                d_log_scales: vec![Default::default(); len],
-                d_opacity_logits: vec![T::default(); len],
-                d_sh: vec![Default::default(); len],
-                touched: Vec::new(),
-            };
-        }
-    }
+/// The loss's derivatives by the gaussians that a view touches; by all others they are zero.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct GaussianGradients<T = f32> {
+    /// Indices of the gaussians that contributed to a pixel, ascending, [M].
+    pub touched: Vec<u32>,
+    /// Entry k is by gaussian `touched[k]`, [M].
+    pub gradients: Vec<GaussianGradient<T>>,
 }

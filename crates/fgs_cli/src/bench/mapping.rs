@@ -204,17 +204,16 @@ fn check_gradient(
     let mut pass = rasterizer.render(gaussians, view);
     let cotangents = cotangents_of(pass.rendered(), target, settings)?;
     pass.vjp(&cotangents, &mut gradients);
-    let by_color = gradients.d_sh.as_flattened();
-    let length = by_color
-        .iter()
-        .map(|d| f64::from(*d).powi(2))
-        .sum::<f64>()
-        .sqrt();
+    let by_color = gradients.gradients.iter().map(|gradient| gradient.d_sh);
+    let squares = by_color.clone().flatten().map(|d| f64::from(d).powi(2));
+    let length = squares.sum::<f64>().sqrt();
     ensure!(length > 0.0, "the gradient is zero");
     let moved = |step: f64| {
         let mut moved = gaussians.clone();
-        for (sh, d) in moved.sh.as_flattened_mut().iter_mut().zip(by_color) {
-            *sh += (step * f64::from(*d) / length) as f32;
+        for (&index, d_sh) in gradients.touched.iter().zip(by_color.clone()) {
+            for (sh, d) in moved.sh[index as usize].iter_mut().zip(d_sh) {
+                *sh += (step * f64::from(d) / length) as f32;
+            }
         }
         loss_of(&moved, view, target, settings)
     };

@@ -32,14 +32,19 @@ fn random(rng: &mut Pcg64Mcg, len: usize, scale: f32) -> Gaussians {
 }
 
 fn gradients_of(derivatives: &Gaussians, touched: &[u32]) -> GaussianGradients {
-    let d = derivatives.clone();
+    let gradient = |index: &u32| {
+        let i = *index as usize;
+        GaussianGradient {
+            d_mean: derivatives.means[i],
+            d_quat: derivatives.quats[i],
+            d_log_scales: derivatives.log_scales[i],
+            d_opacity_logit: derivatives.opacity_logits[i],
+            d_sh: derivatives.sh[i],
+        }
+    };
     GaussianGradients {
-        d_means: d.means,
-        d_quats: d.quats,
-        d_log_scales: d.log_scales,
-        d_opacity_logits: d.opacity_logits,
-        d_sh: d.sh,
         touched: touched.to_vec(),
+        gradients: touched.iter().map(gradient).collect(),
     }
 }
 
@@ -170,8 +175,14 @@ fn wrong_lengths_and_indices_are_refused() {
     let length = adam.step(&mut gaussians, &gradients_of(&gradients, &[]), &rates);
     assert!(matches!(length, Err(AdamError::Length { adam: 0, .. })));
     adam.extend(3);
+    let mut ragged = gradients_of(&gradients, &[0, 2]);
+    ragged.gradients.pop();
+    let length = adam.step(&mut gaussians, &ragged, &rates);
+    assert!(matches!(length, Err(AdamError::Length { touched: 2, .. })));
     for touched in [&[3][..], &[1, 1], &[2, 0]] {
-        let result = adam.step(&mut gaussians, &gradients_of(&gradients, touched), &rates);
+        let mut wrong = gradients_of(&gradients, &vec![0; touched.len()]);
+        wrong.touched = touched.to_vec();
+        let result = adam.step(&mut gaussians, &wrong, &rates);
         assert_eq!(result, Err(AdamError::Touched { gaussians: 3 }));
     }
     assert_eq!(

@@ -8,8 +8,8 @@ use super::prefetch::prefetch;
 use super::project::{PARAMETERS, Parameters, Projection, SPLAT, ScreenCamera, Splat};
 use super::project_vjp::{PixelSums, SUMS, project_vjp, sum};
 use super::real::Real;
-use crate::Gaussians;
 use crate::kernel::Kernel;
+use crate::{GaussianGradient, GaussianGradients, Gaussians};
 
 /// Gaussians of a chunk: large enough that starting a task costs nothing, small enough to spread.
 pub(super) const CHUNK: usize = 2048;
@@ -31,15 +31,15 @@ pub(super) struct Visible {
 
 /// What is found among the gaussians of a chunk.
 #[derive(Debug, Default)]
-pub(super) struct Chunk {
+pub(super) struct Chunk<T> {
     in_view: Vec<u32>,
     /// Ascending by gaussian, as the chunk's splats.
     pub visible: Vec<Visible>,
     pub touches: Vec<Touch>,
     /// For each touch the slot of its entry in the tiles' lists.
     pub slots: Vec<u32>,
-    /// Gaussians that got a gradient.
-    pub touched: Vec<u32>,
+    /// Of its gaussians.
+    pub gradients: GaussianGradients<T>,
 }
 
 /// Projects the gaussians of a chunk. Run it through [`crate::kernel::dispatch`].
@@ -52,7 +52,7 @@ pub(super) struct ProjectChunk<'a, T: Real> {
     pub grid: &'a TileGrid,
     /// As many as the chunk has gaussians; those of visible ones come first.
     pub splats: &'a mut [Splat<T>],
-    pub chunk: &'a mut Chunk,
+    pub chunk: &'a mut Chunk<T>,
 }
 
 impl<T: Real> Kernel for ProjectChunk<'_, T> {
@@ -127,13 +127,7 @@ pub(super) struct ProjectChunkVjp<'a, T: Real> {
     pub camera: &'a ScreenCamera<T>,
     /// Per slot of the tiles' lists.
     pub sums: &'a [PixelSums<T>],
-    pub chunk: &'a mut Chunk,
-    /// Of the chunk's gaussians.
-    pub d_means: &'a mut [[T; 3]],
-    pub d_quats: &'a mut [[T; 4]],
-    pub d_log_scales: &'a mut [[T; 3]],
-    pub d_opacity_logits: &'a mut [T],
-    pub d_sh: &'a mut [[T; 3]],
+    pub chunk: &'a mut Chunk<T>,
 }
 
 impl<T: Real> Kernel for ProjectChunkVjp<'_, T> {
@@ -144,10 +138,11 @@ impl<T: Real> Kernel for ProjectChunkVjp<'_, T> {
         let Chunk {
             visible,
             slots,
-            touched,
+            gradients: chunk_gradients,
             ..
         } = self.chunk;
-        touched.clear();
+        chunk_gradients.touched.clear();
+        chunk_gradients.gradients.clear();
         let mut start = 0;
         let mut prefetched = 0;
         for batch in visible.chunks(LANES) {
@@ -184,13 +179,14 @@ impl<T: Real> Kernel for ProjectChunkVjp<'_, T> {
                     continue;
                 }
                 let gradient = Parameters::from_array(column(&gradients, lane));
-                let local = index as usize % CHUNK;
-                self.d_means[local] = gradient.mean;
-                self.d_quats[local] = gradient.quat;
-                self.d_log_scales[local] = gradient.log_scales;
-                self.d_opacity_logits[local] = gradient.opacity_logit;
-                self.d_sh[local] = gradient.sh;
-                touched.push(index);
+                chunk_gradients.touched.push(index);
+                chunk_gradients.gradients.push(GaussianGradient {
+                    d_mean: gradient.mean,
+                    d_quat: gradient.quat,
+                    d_log_scales: gradient.log_scales,
+                    d_opacity_logit: gradient.opacity_logit,
+                    d_sh: gradient.sh,
+                });
             }
         }
     }

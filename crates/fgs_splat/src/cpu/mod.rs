@@ -42,7 +42,7 @@ use crate::{Gaussians, Rendered};
 pub struct Rasterizer<T: Real = f32> {
     /// As many as gaussians: those of each chunk's visible ones first, the rest stale.
     splats: Vec<Splat<T>>,
-    chunks: Vec<Chunk>,
+    chunks: Vec<Chunk<T>>,
     lists: TileLists<T>,
     /// Per tile.
     states: Vec<TileState<T>>,

@@ -65,8 +65,8 @@ impl<T: Real> RenderPass<'_, T> {
             .collect()
     }
 
-    /// The loss's derivatives by the gaussians' parameters, from those by the images.
-    /// `gradients` is reset first.
+    /// The loss's derivatives by the gaussians' parameters, from those by the images, in place of
+    /// what `gradients` held.
     ///
     /// # Panics
     /// If the cotangents' images are not of the camera's size.
@@ -76,7 +76,6 @@ impl<T: Real> RenderPass<'_, T> {
         assert_eq!(size, size_of_image(&cotangents.d_depth_m), "d_depth_m");
         assert_eq!(size, size_of_image(&cotangents.d_alpha), "d_alpha");
         self.blend_vjp(cotangents);
-        gradients.reset(self.gaussians.len());
         self.project_vjp(gradients);
     }
 
@@ -131,32 +130,23 @@ impl<T: Real> RenderPass<'_, T> {
     fn project_vjp(&mut self, gradients: &mut GaussianGradients<T>) {
         let Rasterizer { chunks, sums, .. } = &mut *self.scratch;
         let (gaussians, camera) = (self.gaussians, &self.camera);
-        (
-            chunks.par_iter_mut(),
-            gradients.d_means.par_chunks_mut(CHUNK),
-            gradients.d_quats.par_chunks_mut(CHUNK),
-            gradients.d_log_scales.par_chunks_mut(CHUNK),
-            gradients.d_opacity_logits.par_chunks_mut(CHUNK),
-            gradients.d_sh.par_chunks_mut(CHUNK),
-        )
-            .into_par_iter()
-            .for_each(
-                |(chunk, d_means, d_quats, d_log_scales, d_opacity_logits, d_sh)| {
-                    dispatch(ProjectChunkVjp {
-                        gaussians,
-                        camera,
-                        sums,
-                        chunk,
-                        d_means,
-                        d_quats,
-                        d_log_scales,
-                        d_opacity_logits,
-                        d_sh,
-                    });
-                },
-            );
+        chunks.par_iter_mut().for_each(|chunk| {
+            dispatch(ProjectChunkVjp {
+                gaussians,
+                camera,
+                sums,
+                chunk,
+            });
+        });
+        gradients.touched.clear();
+        gradients.gradients.clear();
         for chunk in chunks {
-            gradients.touched.extend_from_slice(&chunk.touched);
+            let GaussianGradients {
+                touched,
+                gradients: rows,
+            } = &chunk.gradients;
+            gradients.touched.extend_from_slice(touched);
+            gradients.gradients.extend_from_slice(rows);
         }
     }
 }

@@ -35,7 +35,7 @@ pub(super) struct TileLists<T: Real> {
 
 impl<T: Real> TileLists<T> {
     /// Fills `order` and `dealt`, and tells each chunk where its touches went.
-    pub fn deal(&mut self, grid: &TileGrid, chunks: &mut [Chunk], splats: &[Splat<T>]) {
+    pub fn deal(&mut self, grid: &TileGrid, chunks: &mut [Chunk<T>], splats: &[Splat<T>]) {
         self.starts.clear();
         self.starts.resize(grid.len() + 1, 0);
         for touch in chunks.iter().flat_map(|chunk| &chunk.touches) {

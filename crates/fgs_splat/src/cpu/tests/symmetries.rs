@@ -35,8 +35,8 @@ fn the_order_of_storage_does_not_matter() {
     let (once, again) = (to_f32(&gaussians), to_f32(&permuted));
     assert_eq!(render(&once, &view), render(&again, &view));
     let cotangents = cotangents_to_f32(&random_cotangents(&mut rng(2), &view));
-    let rows = gradient_rows(&vjp(&once, &view, &cotangents));
-    let mut permuted_rows = gradient_rows(&vjp(&again, &view, &cotangents));
+    let rows = gradient_rows(&vjp(&once, &view, &cotangents), once.len());
+    let mut permuted_rows = gradient_rows(&vjp(&again, &view, &cotangents), again.len());
     permuted_rows.reverse();
     assert_eq!(rows, permuted_rows);
 }
@@ -59,10 +59,13 @@ fn culled_gaussians_do_not_matter() {
     assert_eq!(render(&clean, &view), render(&all, &view));
     let cotangents = cotangents_to_f32(&random_cotangents(&mut rng(4), &view));
     let gradients = vjp(&all, &view, &cotangents);
-    let rows = gradient_rows(&gradients);
+    let rows = gradient_rows(&gradients, all.len());
     assert!(rows[..3].iter().flatten().all(|&d| d == 0.0));
     assert!(gradients.touched.iter().all(|&index| index >= 3));
-    assert_eq!(rows[3..], gradient_rows(&vjp(&clean, &view, &cotangents)));
+    assert_eq!(
+        rows[3..],
+        gradient_rows(&vjp(&clean, &view, &cotangents), clean.len())
+    );
 }
 
 /// The linearisation is clamped about the image's middle, so only gaussians well inside can be
@@ -220,7 +223,7 @@ fn damaged_gaussians_are_not_drawn_or_finite() {
             images.extend(rendered.depth_m.data());
             images.extend(rendered.alpha.data());
             assert!(images.iter().all(|x| x.is_finite()), "{poison} {component}");
-            let rows = gradient_rows(&vjp(&damaged, &view, &cotangents));
+            let rows = gradient_rows(&vjp(&damaged, &view, &cotangents), damaged.len());
             assert!(
                 rows.iter().flatten().all(|x| x.is_finite()),
                 "gradient {poison} {component}"
