@@ -5,6 +5,7 @@
 use std::hint::black_box;
 
 use super::bounds::{BLOCKS, TileGrid};
+use super::chunks::Chunk;
 use super::forward::TileState;
 use super::lanes::{LANES, Lanes};
 use super::project::{ScreenCamera, Splat};
@@ -25,8 +26,8 @@ pub(super) struct BlendTileVjp<'a, T: Real> {
     pub order: &'a [T::SortKey],
     /// The slot of the first of `sums`.
     pub first_slot: usize,
-    /// Of all gaussians.
-    pub splats: &'a [Splat<T>],
+    /// They hold the splats.
+    pub chunks: &'a [Chunk<T>],
     pub state: &'a TileState<T>,
     /// The rows of the images in which the tile lies.
     pub d_color: &'a [[T; 3]],
@@ -60,7 +61,7 @@ impl<T: Real> Kernel for BlendTileVjp<'_, T> {
     #[inline(always)]
     fn run<const FUSED: bool>(self) {
         let last = self.entries.len().saturating_sub(1) / BATCH * BATCH;
-        prefetch_splats(&self.entries[last..], self.splats);
+        prefetch_splats(&self.entries[last..], self.chunks);
         let pixels = TilePixels::new(self.tile, self.grid, self.camera);
         let zero = [T::ZERO; LANES];
         let mut any_depth = false;
@@ -104,10 +105,10 @@ impl<T: Real> BlendTileVjp<'_, T> {
         let mut quarters = [[[T::ZERO; 4]; sum::OF_PIXELS]; BATCH];
         for (index, entries) in self.entries.chunks(BATCH).enumerate().rev() {
             let start = index * BATCH;
-            load_splats(entries, self.splats, &mut batch);
+            load_splats(entries, self.chunks, &mut batch);
             prefetch_splats(
                 &self.entries[start.saturating_sub(BATCH)..start],
-                self.splats,
+                self.chunks,
             );
             for (i, entry) in entries.iter().enumerate().rev() {
                 if entry.blocks == 0 {

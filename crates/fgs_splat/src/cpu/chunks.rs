@@ -29,12 +29,21 @@ pub(super) struct Visible {
     pub touches_end: u32,
 }
 
+/// A splat's number among all: its chunk's number times [`CHUNK`] plus its place in the chunk.
+#[inline(always)]
+pub(super) fn splat<T>(chunks: &[Chunk<T>], number: u32) -> &Splat<T> {
+    let number = number as usize;
+    &chunks[number / CHUNK].splats[number % CHUNK]
+}
+
 /// What is found among the gaussians of a chunk.
 #[derive(Debug, Default)]
 pub(super) struct Chunk<T> {
     in_view: Vec<u32>,
-    /// Ascending by gaussian, as the chunk's splats.
+    /// Ascending by gaussian.
     pub visible: Vec<Visible>,
+    /// Of the visible gaussians.
+    pub splats: Vec<Splat<T>>,
     pub touches: Vec<Touch>,
     /// For each touch the slot of its entry in the tiles' lists.
     pub slots: Vec<u32>,
@@ -50,8 +59,6 @@ pub(super) struct ProjectChunk<'a, T: Real> {
     pub camera: &'a ScreenCamera<T>,
     pub frustum: &'a Frustum<T>,
     pub grid: &'a TileGrid,
-    /// As many as the chunk has gaussians; those of visible ones come first.
-    pub splats: &'a mut [Splat<T>],
     pub chunk: &'a mut Chunk<T>,
 }
 
@@ -63,13 +70,15 @@ impl<T: Real> Kernel for ProjectChunk<'_, T> {
         let Chunk {
             in_view,
             visible,
+            splats,
             touches,
             ..
         } = self.chunk;
         in_view.clear();
         visible.clear();
+        splats.clear();
         touches.clear();
-        let end = self.first + self.splats.len();
+        let end = self.gaussians.len().min(self.first + CHUNK);
         self.frustum
             .push_in_view::<FUSED>(self.camera, self.gaussians, self.first, end, in_view);
         if in_view.is_empty() {
@@ -79,14 +88,14 @@ impl<T: Real> Kernel for ProjectChunk<'_, T> {
         }
         for indices in in_view.chunks(LANES) {
             let parameters = load_parameters(self.gaussians, indices);
-            let mut splats = [[T::ZERO; LANES]; SPLAT];
+            let mut lanes = [[T::ZERO; LANES]; SPLAT];
             let mut supports = [Support::default(); LANES];
             let mut drawn = [false; LANES];
             for lane in 0..LANES {
                 let parameters = Parameters::from_array(column(&parameters, lane));
                 let projection = Projection::new::<FUSED>(&parameters, self.camera);
                 let splat = projection.splat::<FUSED>(self.camera);
-                set_column(&mut splats, lane, splat.to_array());
+                set_column(&mut lanes, lane, splat.to_array());
                 supports[lane] = Support::new(&splat, self.grid);
                 drawn[lane] = projection.drawn;
             }
@@ -94,11 +103,11 @@ impl<T: Real> Kernel for ProjectChunk<'_, T> {
                 if !drawn[lane] {
                     continue;
                 }
-                let splat = Splat::from_array(column(&splats, lane));
+                let splat = Splat::from_array(column(&lanes, lane));
                 let before = touches.len();
                 supports[lane].push_touches(&splat, visible.len() as u16, self.grid, touches);
                 if touches.len() > before {
-                    self.splats[visible.len()] = splat;
+                    splats.push(splat);
                     visible.push(Visible {
                         gaussian,
                         touches_end: touches.len() as u32,

@@ -4,6 +4,7 @@
 //! is known of a block's pixels stays in registers meanwhile.
 
 use super::bounds::{BLOCKS, BlockSet, TileGrid};
+use super::chunks::Chunk;
 use super::lanes::{LANES, Lanes};
 use super::project::{ScreenCamera, Splat};
 use super::real::Real;
@@ -38,8 +39,8 @@ pub(super) struct BlendTile<'a, T: Real> {
     pub camera: &'a ScreenCamera<T>,
     /// The tile's list; afterwards of each entry only the blocks where a pixel took it.
     pub entries: &'a mut [Entry],
-    /// Of all gaussians.
-    pub splats: &'a [Splat<T>],
+    /// They hold the splats.
+    pub chunks: &'a [Chunk<T>],
     pub state: &'a mut TileState<T>,
     /// The rows of the images in which the tile lies.
     pub color: &'a mut [[T; 3]],
@@ -67,7 +68,7 @@ impl<T: Real> Kernel for BlendTile<'_, T> {
     #[inline(always)]
     fn run<const FUSED: bool>(self) {
         let grid = self.grid;
-        prefetch_splats(self.entries, self.splats);
+        prefetch_splats(self.entries, self.chunks);
         let pixels = TilePixels::new(self.tile, grid, self.camera);
         let zero = [T::ZERO; LANES];
         let mut blocks = [Block {
@@ -91,8 +92,8 @@ impl<T: Real> Kernel for BlendTile<'_, T> {
         while !rest.is_empty() && open_blocks != 0 {
             let len = BATCH.min(rest.len());
             let entries = take_front(&mut rest, len);
-            load_splats(entries, self.splats, &mut batch);
-            prefetch_splats(rest, self.splats);
+            load_splats(entries, self.chunks, &mut batch);
+            prefetch_splats(rest, self.chunks);
             let touching = transpose(entries);
             let mut hits = [0; BATCH];
             for block in 0..BLOCKS {

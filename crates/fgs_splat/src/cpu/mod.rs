@@ -27,7 +27,7 @@ use bounds::{TILE_HEIGHT, TileGrid};
 use chunks::{CHUNK, Chunk, ProjectChunk};
 use cull::Frustum;
 use forward::{BlendTile, TileState};
-use project::{ScreenCamera, Splat};
+use project::ScreenCamera;
 use project_vjp::PixelSums;
 pub use real::Real;
 pub use render_pass::RenderPass;
@@ -40,8 +40,6 @@ use crate::{Gaussians, Rendered};
 /// nothing.
 #[derive(Debug)]
 pub struct Rasterizer<T: Real = f32> {
-    /// As many as gaussians: those of each chunk's visible ones first, the rest stale.
-    splats: Vec<Splat<T>>,
     chunks: Vec<Chunk<T>>,
     lists: TileLists<T>,
     /// Per tile.
@@ -54,7 +52,6 @@ pub struct Rasterizer<T: Real = f32> {
 impl<T: Real> Default for Rasterizer<T> {
     fn default() -> Self {
         Self {
-            splats: Vec::new(),
             chunks: Vec::new(),
             lists: TileLists::default(),
             states: Vec::new(),
@@ -82,7 +79,7 @@ impl<T: Real> Rasterizer<T> {
         let camera = ScreenCamera::new(view);
         let grid = TileGrid::new(camera.width, camera.height);
         self.project(gaussians, &camera, &grid);
-        self.lists.deal(&grid, &mut self.chunks, &self.splats);
+        self.lists.deal(&grid, &mut self.chunks);
         self.blend(&camera, &grid);
         RenderPass {
             scratch: self,
@@ -92,24 +89,21 @@ impl<T: Real> Rasterizer<T> {
         }
     }
 
-    /// Fills `splats` and `chunks`.
+    /// Fills `chunks`.
     fn project(&mut self, gaussians: &Gaussians<T>, camera: &ScreenCamera<T>, grid: &TileGrid) {
         let frustum = &Frustum::new(camera);
-        self.splats.resize_with(gaussians.len(), Splat::default);
         let tasks = gaussians.len().div_ceil(CHUNK);
         self.chunks.resize_with(tasks, Chunk::default);
-        self.splats
-            .par_chunks_mut(CHUNK)
-            .zip(&mut self.chunks)
+        self.chunks
+            .par_iter_mut()
             .enumerate()
-            .for_each(|(task, (splats, chunk))| {
+            .for_each(|(task, chunk)| {
                 dispatch(ProjectChunk {
                     gaussians,
                     first: task * CHUNK,
                     camera,
                     frustum,
                     grid,
-                    splats,
                     chunk,
                 });
             });
@@ -118,7 +112,7 @@ impl<T: Real> Rasterizer<T> {
     /// Fills `rendered` and `states`, and completes the tiles' lists.
     fn blend(&mut self, camera: &ScreenCamera<T>, grid: &TileGrid) {
         let Self {
-            splats,
+            chunks,
             lists,
             states,
             rendered,
@@ -156,7 +150,7 @@ impl<T: Real> Rasterizer<T> {
                             grid,
                             camera,
                             entries,
-                            splats,
+                            chunks,
                             state,
                             color: &mut *color,
                             depth_m: &mut *depth_m,

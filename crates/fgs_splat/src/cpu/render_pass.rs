@@ -47,13 +47,8 @@ impl<T: Real> RenderPass<'_, T> {
 
     /// The gaussians that contributed to a pixel, ascending.
     pub fn visible(&self) -> Vec<u32> {
-        let Rasterizer {
-            chunks,
-            lists,
-            splats,
-            ..
-        } = &*self.scratch;
-        let mut contributed = vec![false; splats.len()];
+        let Rasterizer { chunks, lists, .. } = &*self.scratch;
+        let mut contributed = vec![false; chunks.len() * CHUNK];
         for entry in &lists.entries {
             contributed[entry.splat as usize] |= entry.blocks != 0;
         }
@@ -82,7 +77,7 @@ impl<T: Real> RenderPass<'_, T> {
     /// Fills `sums`.
     fn blend_vjp(&mut self, cotangents: &Cotangents<T>) {
         let Rasterizer {
-            splats,
+            chunks,
             lists:
                 TileLists {
                     starts,
@@ -115,7 +110,7 @@ impl<T: Real> RenderPass<'_, T> {
                         entries: &entries[list.clone()],
                         order: &order[list.clone()],
                         first_slot: list.start,
-                        splats,
+                        chunks,
                         state: &states[tile],
                         d_color,
                         d_depth_m,

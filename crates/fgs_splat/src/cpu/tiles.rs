@@ -5,7 +5,7 @@
 //! entries come from the same touches.
 
 use super::bounds::{BlockSet, TileGrid};
-use super::chunks::{CHUNK, Chunk};
+use super::chunks::{CHUNK, Chunk, splat};
 use super::prefetch::prefetch;
 use super::project::Splat;
 use super::real::Real;
@@ -13,7 +13,7 @@ use super::real::Real;
 /// A gaussian's presence in a tile.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Entry {
-    /// Position among the splats.
+    /// The splat's number among all.
     pub splat: u32,
     pub blocks: BlockSet,
 }
@@ -35,7 +35,7 @@ pub(super) struct TileLists<T: Real> {
 
 impl<T: Real> TileLists<T> {
     /// Fills `order` and `dealt`, and tells each chunk where its touches went.
-    pub fn deal(&mut self, grid: &TileGrid, chunks: &mut [Chunk<T>], splats: &[Splat<T>]) {
+    pub fn deal(&mut self, grid: &TileGrid, chunks: &mut [Chunk<T>]) {
         self.starts.clear();
         self.starts.resize(grid.len() + 1, 0);
         for touch in chunks.iter().flat_map(|chunk| &chunk.touches) {
@@ -50,16 +50,16 @@ impl<T: Real> TileLists<T> {
         self.order.resize(len, T::SortKey::default());
         self.dealt.resize(len, Entry::default());
         self.entries.resize(len, Entry::default());
-        for (first, chunk) in (0..).step_by(CHUNK).zip(chunks) {
+        for (first, chunk) in (0_u32..).step_by(CHUNK).zip(chunks) {
             chunk.slots.clear();
             chunk.slots.extend(chunk.touches.iter().map(|touch| {
-                let splat = first + usize::from(touch.splat);
+                let depth = chunk.splats[usize::from(touch.splat)].center_depth;
                 let cursor = &mut self.cursors[touch.tile as usize];
                 let slot = *cursor;
                 *cursor += 1;
-                self.order[slot as usize] = splats[splat].center_depth.sort_key(slot);
+                self.order[slot as usize] = depth.sort_key(slot);
                 self.dealt[slot as usize] = Entry {
-                    splat: splat as u32,
+                    splat: first + u32::from(touch.splat),
                     blocks: touch.blocks,
                 };
                 slot
@@ -73,9 +73,9 @@ pub(super) const BATCH: usize = 32;
 
 /// Asks for the splats of up to `BATCH` entries, which will be loaded next.
 #[inline(always)]
-pub(super) fn prefetch_splats<T: Real>(entries: &[Entry], splats: &[Splat<T>]) {
+pub(super) fn prefetch_splats<T: Real>(entries: &[Entry], chunks: &[Chunk<T>]) {
     for entry in entries.iter().take(BATCH) {
-        prefetch(&splats[entry.splat as usize]);
+        prefetch(splat(chunks, entry.splat));
     }
 }
 
@@ -83,11 +83,11 @@ pub(super) fn prefetch_splats<T: Real>(entries: &[Entry], splats: &[Splat<T>]) {
 #[inline(always)]
 pub(super) fn load_splats<T: Real>(
     entries: &[Entry],
-    splats: &[Splat<T>],
+    chunks: &[Chunk<T>],
     batch: &mut [Splat<T>; BATCH],
 ) {
-    for (entry, splat) in entries.iter().zip(batch) {
-        *splat = splats[entry.splat as usize];
+    for (entry, loaded) in entries.iter().zip(batch) {
+        *loaded = *splat(chunks, entry.splat);
     }
 }
 
