@@ -24,7 +24,7 @@ from odometry import (
 FGS = pathlib.Path(__file__).parents[2] / "target/release/fgs"
 RUNS = 15
 STRIDE = 5
-PAIRS, MAP_FRAMES, MAP_SPACING_M = 50, 10, 0.01  # as in fgs bench
+PAIRS, MAP_FRAMES, VOXEL_M = 50, 10, 0.01  # as in fgs bench
 PADDING = 10
 
 
@@ -100,11 +100,13 @@ def main():
         relative = np.eye(4)
         peer = times_ms(lambda: register(frame_target, points[last], relative, threads))
         print_row("registration to a frame", threads, peer, ours["registration to a frame", threads])
-        thinned = small_gicp.voxelgrid_sampling(merged, MAP_SPACING_M, threads).points()[:, :3]
+        thinned = small_gicp.voxelgrid_sampling(merged, VOXEL_M, threads).points()[:, :3]
         map_target = prepare(thinned, threads)
         peer = times_ms(lambda: register(map_target, points[last], poses[last - 1], threads))
         print_row("registration to a map", threads, peer, ours["registration to a map", threads])
-    print(f"points: {len(points[last])} to {len(points[last - 1])} and to {len(thinned)} ({NEIGHBORS} neighbours a covariance)")
+    print(f"points, peer: {len(points[last])} to {len(points[last - 1])} and to {len(thinned)} ({NEIGHBORS} neighbours a covariance)")
+    works = sorted({row["work"] for row in events if row["event"] == "stage" and row["stage"].startswith("registration")})
+    print(f"points, ours: {'; '.join(works)}")
 
     errors_mm = []
     for i in range(1, len(points)):

@@ -1,5 +1,6 @@
 //! Segmentation and registration.
 
+use std::collections::HashSet;
 use std::hint::black_box;
 
 use anyhow::ensure;
@@ -14,9 +15,9 @@ use crate::console::Console;
 
 /// Pixels between the points that are registered.
 const STRIDE_PX: usize = 5;
-/// A map holds so many frames at most, and its points are so far apart.
+/// A map holds so many frames at most, and one point in each cube of this side.
 const MAP_FRAMES: usize = 10;
-const MAP_SPACING_M: f32 = 0.01;
+const VOXEL_M: f32 = 0.01;
 /// Side of the point map's cells: about three times the correspondence distance is fastest.
 const CELL_M: f32 = 0.1;
 /// A registration that is further off, on average over the points, is wrong.
@@ -78,15 +79,17 @@ fn points(grid: &DepthGrid, depth_m: &Image<f32>, camera: &Camera) -> Vec<Point>
         .collect()
 }
 
-/// The target of a registration: frames at their known poses, thinned unless there is only one.
+/// The target of a registration: frames at their known poses; of several, one point to a voxel.
 fn target(input: &Input, frames: std::ops::Range<usize>) -> PointMap {
-    let spacing_m = if frames.len() > 1 { MAP_SPACING_M } else { 0.0 };
+    let several = frames.len() > 1;
+    let mut taken = HashSet::new();
     let mut map = PointMap::new(CELL_M);
     for i in frames {
         let frame = &input.frames[i];
         for point in points(&grid(), &frame.depth_m, &frame.camera) {
             let point = point.transformed(&input.world_from_camera[i]);
-            if spacing_m == 0.0 || map.nearest(&point.position, spacing_m).is_none() {
+            let voxel = point.position.map(|x| (x / VOXEL_M).floor() as i32);
+            if !several || taken.insert(voxel) {
                 map.insert(map.len() as u64, point);
             }
         }
@@ -144,8 +147,9 @@ fn registration(input: &Input, map_frames: usize, bench: &mut Bench<'_>) -> anyh
             "registration to a map"
         },
         work: format!(
-            "{} points, {} iterations",
+            "{} points to {}, {} iterations",
             source.len(),
+            map.len(),
             alignment.iterations
         ),
         // Depth once; per iteration each point and its partner, 40 bytes each.

@@ -8,6 +8,7 @@ use super::gradients::{cotangents_to_f32, gradient_rows, random_cotangents, vjp}
 use super::scenes::{random_gaussians, random_view, rng, to_f32};
 use super::values::render;
 use crate::cpu::Rasterizer;
+use crate::kernel::PLAIN;
 use crate::{GaussianGradients, Gaussians};
 
 fn permute(gaussians: &Gaussians<f64>, order: &[usize]) -> Gaussians<f64> {
@@ -148,6 +149,32 @@ fn any_number_of_threads_gives_the_same_bits() {
     assert_eq!(first.1, first.2.touched);
     assert_eq!(first, second);
     assert_eq!([first, second], run(16));
+}
+
+/// Without fused multiply-adds and wide registers nothing changes but rounding.
+#[test]
+fn plain_arithmetic_gives_the_same_but_for_rounding() {
+    let (gaussians, view) = scene(18);
+    let gaussians = to_f32(&gaussians);
+    let cotangents = cotangents_to_f32(&random_cotangents(&mut rng(19), &view));
+    let run = |plain: bool| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build();
+        pool.unwrap().install(|| {
+            PLAIN.set(plain);
+            let rows = gradient_rows(&vjp(&gaussians, &view, &cotangents), gaussians.len());
+            let mut values = render(&gaussians, &view).color.data().concat();
+            values.extend(rows.concat());
+            values
+        })
+    };
+    let (plain, widest) = (run(true), run(false));
+    let norm = |values: &mut dyn Iterator<Item = f32>| values.map(|x| x * x).sum::<f32>().sqrt();
+    let size = norm(&mut plain.iter().copied());
+    let difference = norm(&mut plain.iter().zip(&widest).map(|(a, b)| a - b));
+    assert!(
+        size > 1.0 && difference <= 1e-5 * size,
+        "{difference} of {size}"
+    );
 }
 
 #[test]
