@@ -85,3 +85,32 @@ impl<T: Real> Frustum<T> {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::cpu::tests::scenes::{random_gaussians, random_view, rng};
+
+    #[test]
+    fn leaves_out_what_is_behind_or_beside_the_view() {
+        let mut rng = rng(1);
+        let view = random_view(&mut rng, 40, 30);
+        let camera = ScreenCamera::<f64>::new(&view);
+        let frustum = Frustum::new(&camera);
+        let mut gaussians = random_gaussians(&mut rng, &view, 50);
+        let pose = view.world_from_camera;
+        // Behind the camera, and a quarter turn to each of four sides.
+        for point in [[0, 0, -2], [9, 0, 1], [-9, 0, 1], [0, 9, 1], [0, -9, 1]] {
+            gaussians
+                .means
+                .push(pose.transform(&point.map(f64::from).into()).into());
+            gaussians.log_scales.push([-3.0; 3]);
+        }
+        let mut in_view = Vec::new();
+        frustum.push_in_view::<true>(&camera, &gaussians, 0, 55, &mut in_view);
+        assert!(
+            in_view.len() > 20 && in_view.iter().all(|&i| i < 50),
+            "{in_view:?}"
+        );
+    }
+}

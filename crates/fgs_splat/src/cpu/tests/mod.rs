@@ -1,6 +1,6 @@
 //! The CPU rasteriser against closed forms, the reference and its own symmetries.
 
 mod gradients;
-mod scenes;
+pub mod scenes;
 mod symmetries;
 mod values;

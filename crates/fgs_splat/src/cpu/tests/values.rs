@@ -70,6 +70,29 @@ fn tiled_agrees_with_the_reference() {
     assert!(largest.iter().all(|&value| value > 0.9), "{largest:?}");
 }
 
+/// Supports that reach over more tiles, along either axis, than are worked on together.
+#[test]
+fn gaussians_of_many_tiles_agree_with_the_reference() {
+    for (seed, (width, height)) in (0..).zip([(330, 21), (21, 330)]) {
+        let mut rng = rng(seed);
+        let view = random_view(&mut rng, width, height);
+        let mut gaussians = random_gaussians(&mut rng, &view, 8);
+        for scales in &mut gaussians.log_scales {
+            *scales = scales.map(|s| s + 3.5);
+        }
+        let found = render(&gaussians, &view);
+        let mut covered = 0;
+        for (i, pixel) in reference::render(&gaussians, &view).iter().enumerate() {
+            if pixel.margin > 1e-9 {
+                let [.., alpha] = values(&found, i);
+                assert!((alpha - pixel.alpha).abs() <= 1e-10, "{i}");
+                covered += usize::from(pixel.alpha > 0.1);
+            }
+        }
+        assert!(covered > 4000, "{covered}");
+    }
+}
+
 /// A camera at the origin whose principal point is the pixel (12, 7), focal lengths 50 and 40.
 fn straight_view() -> View {
     let intrinsics = Intrinsics {
@@ -179,6 +202,20 @@ fn a_gaussian_behind_a_saturated_pixel_is_not_visible() {
     assert_eq!(visible(&once, &mut rasterizer), [0, 1]);
     let often = join(&[&behind, &front, &front, &front]);
     assert_eq!(visible(&often, &mut rasterizer), [1, 2, 3]);
+}
+
+/// Once a tile is saturated, the rest of its list is not even looked at.
+#[test]
+fn nothing_behind_a_saturated_tile_is_visible() {
+    let mut stack = Gaussians::default();
+    for i in 0..100 {
+        let mut wide = disk_on_axis(1.0 + 0.01 * f64::from(i), 0.999, [0.5; 3]);
+        wide.log_scales[0] = [1.0, 1.0, -14.0];
+        stack = join(&[&stack, &wide]);
+    }
+    let mut rasterizer = Rasterizer::default();
+    let visible = rasterizer.render(&stack, &straight_view()).visible();
+    assert_eq!(visible, [0, 1, 2]);
 }
 
 #[test]
