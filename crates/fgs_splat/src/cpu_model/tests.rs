@@ -59,6 +59,28 @@ fn model() -> CpuModel {
     model
 }
 
+/// Colour and depth stretch the disks one way or another; the regulariser keeps them round by its
+/// weight.
+#[test]
+fn the_regularizer_counts_by_its_weight() {
+    let unevenness = |scale_weight: f32| {
+        let mut settings = ModelSettings::default();
+        settings.loss.scale_weight = scale_weight;
+        let mut model = CpuModel::new(settings);
+        model.insert(&wall()).unwrap();
+        let id = model.add_view(view(0.0), target()).unwrap();
+        for _ in 0..30 {
+            model.step(id).unwrap();
+        }
+        let log_scales = model.gaussians().log_scales;
+        let uneven = log_scales.iter().map(|[x, y, _]| (x - y).abs());
+        uneven.sum::<f32>() / log_scales.len() as f32
+    };
+    let [without, little, much] = [0.0, 1.0, 1e3].map(unevenness);
+    assert!(without > 0.02 && much < 0.5 * without, "{without} {much}");
+    assert!(much < little && little < without, "{little}");
+}
+
 #[test]
 fn steps_lower_the_loss() {
     let mut model = model();

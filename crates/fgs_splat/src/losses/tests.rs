@@ -363,6 +363,8 @@ fn nothing_measured_and_wrong_sizes() {
     };
     let loss = scene.loss(&masked);
     assert_eq!((loss.total, loss.ssim), (0.0, 1.0));
+    assert!(loss.d_color.data().as_flattened().iter().all(|d| *d == 0.0));
+    assert!(loss.d_depth_m.data().iter().all(|d| *d == 0.0));
     assert!(Target::new(color, Image::filled(HEIGHT, WIDTH, 0.0)).is_err());
     scene.alpha = Image::filled(WIDTH, HEIGHT - 1, 0.0);
     let loss = scene.try_loss(&LossSettings::default());
