@@ -19,6 +19,8 @@ pub fn keep_large_arrays_apart() {
     unsafe {
         libc::mallopt(libc::M_MMAP_THRESHOLD, LARGE_BYTES);
         libc::mallopt(libc::M_TRIM_THRESHOLD, KEPT_BYTES);
+        // Each thread's arena would keep as much. Threads allocate too seldom to wait for one.
+        libc::mallopt(libc::M_ARENA_MAX, 1);
     }
 }
 
