@@ -7,10 +7,9 @@ prints a table row for each: steps a frame, seconds from the first frame to the 
 is measured, gaussians.
 """
 import argparse
-import json
 import pathlib
-import subprocess
-import tempfile
+
+import fgs_run
 
 STEPS_PER_FRAME = (0.7, 1.4, 2.8, 5.6)
 
@@ -18,15 +17,12 @@ STEPS_PER_FRAME = (0.7, 1.4, 2.8, 5.6)
 def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("recording", type=pathlib.Path)
-    parser.add_argument("--fgs", type=pathlib.Path, default=pathlib.Path(__file__).parents[1] / "target/release/fgs")
+    parser.add_argument("--fgs", type=pathlib.Path, default=fgs_run.FGS)
     arguments, run_options = parser.parse_known_args()
     print("| steps a frame | seconds | PSNR, dB | gaussians |\n|---|---|---|---|")
     for steps in STEPS_PER_FRAME:
-        with tempfile.TemporaryDirectory() as folder:
-            out = pathlib.Path(folder) / "run"
-            command = [arguments.fgs, "run", arguments.recording, "--eval", "--out", out, *run_options]
-            subprocess.run([*command, "--set", f"mapping.iterations_per_frame={steps}"], check=True, capture_output=True)
-            metrics = json.loads((out / "metrics.json").read_text())
+        options = [*run_options, "--set", f"mapping.iterations_per_frame={steps}"]
+        metrics = fgs_run.metrics(arguments.recording, options, arguments.fgs)
         seconds = metrics["frames"] / metrics["fps"]
         print(f"| {steps} | {seconds:.1f} | {metrics['psnr_valid_depth_db']:.2f} | {metrics['num_gaussians']} |", flush=True)
 

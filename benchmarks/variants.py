@@ -8,16 +8,14 @@ interrupted table goes on where it stopped, and an old one is only written anew.
 """
 import argparse
 import csv
-import json
 import os
 import pathlib
 import platform
 import shlex
-import subprocess
-import tempfile
 from concurrent.futures import ThreadPoolExecutor
 
-FGS = pathlib.Path(__file__).parents[1] / "target/release/fgs"
+import fgs_run
+
 # The paper's choices where it says, else what seemed best before this was measured.
 BASE = [
     "seeding.depth_mask=true", "seeding.color_mask=true", "seeding.disks=normal", "tracking.target=seeded",
@@ -45,10 +43,7 @@ def run(recording, options, variant, threads):
     """The metrics of one run, as one row of raw.csv."""
     changes = [] if VARIANTS[variant] is None else BASE + VARIANTS[variant]
     changes = [word for change in changes for word in ("--set", change)]
-    with tempfile.TemporaryDirectory() as out:
-        command = [FGS, "run", recording, *options, *changes, "--threads", str(threads), "--eval", "--out", f"{out}/run"]
-        subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
-        metrics = json.loads(pathlib.Path(out, "run/metrics.json").read_text())
+    metrics = fgs_run.metrics(recording, [*options, *changes, "--threads", str(threads)])
     name = pathlib.Path(recording).name
     return {"recording": name, "variant": variant, "commit": metrics["commit"]} | {key: metrics[key] for key in COLUMNS}
 

@@ -6,21 +6,21 @@
 /// side with everything else, and what an array leaves when it grows is lost between keyframes: in
 /// a long run that is half as much again as what is in use.
 pub fn keep_large_arrays_apart() {
-    /// Larger than an image or what a step needs per pixel, which come and go all the time.
     #[cfg(all(target_os = "linux", target_env = "gnu"))]
-    const LARGE_BYTES: libc::c_int = 8 << 20;
-    /// What is kept of freed memory, so that the next step finds it ready: asking the system for a
-    /// page costs as much as filling it.
-    #[cfg(all(target_os = "linux", target_env = "gnu"))]
-    const KEPT_BYTES: libc::c_int = 64 << 20;
-    #[cfg(all(target_os = "linux", target_env = "gnu"))]
-    // SAFETY: it sets numbers in the allocator, under the allocator's lock. That it may refuse does
-    // no harm.
-    unsafe {
-        libc::mallopt(libc::M_MMAP_THRESHOLD, LARGE_BYTES);
-        libc::mallopt(libc::M_TRIM_THRESHOLD, KEPT_BYTES);
-        // Each thread's arena would keep as much. Threads allocate too seldom to wait for one.
-        libc::mallopt(libc::M_ARENA_MAX, 1);
+    {
+        /// Larger than an image or what a step needs per pixel, which come and go all the time.
+        const LARGE_BYTES: libc::c_int = 8 << 20;
+        /// What is kept of freed memory, so that the next step finds it ready: asking the system for
+        /// a page costs as much as filling it.
+        const KEPT_BYTES: libc::c_int = 64 << 20;
+        // SAFETY: it sets numbers in the allocator, under the allocator's lock. That it may refuse
+        // does no harm.
+        unsafe {
+            libc::mallopt(libc::M_MMAP_THRESHOLD, LARGE_BYTES);
+            libc::mallopt(libc::M_TRIM_THRESHOLD, KEPT_BYTES);
+            // Each thread's arena would keep as much. Threads allocate too seldom to wait for one.
+            libc::mallopt(libc::M_ARENA_MAX, 1);
+        }
     }
 }
 

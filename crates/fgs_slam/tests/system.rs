@@ -34,6 +34,15 @@ fn frames(sequence: &Sequence) -> Frames {
 }
 
 fn go(frames: Frames, camera: &Camera, execution: Execution) -> Result<SlamOutput, SlamError> {
+    go_observed(frames, camera, execution, &mut ())
+}
+
+fn go_observed(
+    frames: Frames,
+    camera: &Camera,
+    execution: Execution,
+    observer: &mut dyn Observer,
+) -> Result<SlamOutput, SlamError> {
     let config = config();
     let model = CpuModel::new(model_settings(&config.mapping));
     let stop = AtomicBool::new(false);
@@ -43,9 +52,20 @@ fn go(frames: Frames, camera: &Camera, execution: Execution) -> Result<SlamOutpu
         &config,
         execution,
         model,
-        &mut (),
+        observer,
         &stop,
     )
+}
+
+/// Makes each frame's tracking take at least so long.
+struct Slow(Duration);
+
+impl Observer for Slow {
+    fn on(&mut self, event: &SlamEvent<'_>) {
+        if matches!(event, SlamEvent::Frame { .. }) {
+            std::thread::sleep(self.0);
+        }
+    }
 }
 
 fn go_on(threads: usize, sequence: &Sequence) -> SlamOutput {
@@ -124,24 +144,12 @@ fn realtime_ends_and_counts_every_frame() {
 /// A tracker that takes longer than frames take to come.
 #[test]
 fn realtime_drops_what_has_waited_too_long_and_tracks_the_rest() {
-    struct Slow;
-    impl Observer for Slow {
-        fn on(&mut self, event: &SlamEvent<'_>) {
-            if matches!(event, SlamEvent::Frame { .. }) {
-                std::thread::sleep(Duration::from_millis(60));
-            }
-        }
-    }
     let sequence = room(30);
-    let config = config();
-    let output = run(
-        frames(&sequence).into_iter(),
+    let output = go_observed(
+        frames(&sequence),
         sequence.camera(),
-        &config,
         Execution::Realtime,
-        CpuModel::new(model_settings(&config.mapping)),
-        &mut Slow,
-        &AtomicBool::new(false),
+        &mut Slow(Duration::from_millis(60)),
     )
     .unwrap();
     // The second frame is some 30 ms late when its turn comes, and not dropped for that.
@@ -428,22 +436,12 @@ fn a_slow_mapper_delays_but_loses_nothing() {
 
 #[test]
 fn a_slow_tracker_is_waited_for() {
-    struct Slow;
-    impl Observer for Slow {
-        fn on(&mut self, _: &SlamEvent<'_>) {
-            std::thread::sleep(Duration::from_millis(20));
-        }
-    }
     let sequence = room(10);
-    let config = config();
-    let output = run(
-        frames(&sequence).into_iter(),
+    let output = go_observed(
+        frames(&sequence),
         sequence.camera(),
-        &config,
         Execution::Parallel,
-        CpuModel::new(model_settings(&config.mapping)),
-        &mut Slow,
-        &AtomicBool::new(false),
+        &mut Slow(Duration::from_millis(20)),
     )
     .unwrap();
     assert_eq!((output.frames.len(), output.timings.steps), (10, 20));

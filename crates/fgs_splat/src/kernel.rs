@@ -26,10 +26,10 @@ thread_local! {
 pub(crate) fn dispatch<K: Kernel>(kernel: K) -> K::Output {
     #[cfg(test)]
     if PLAIN.get() {
-        return Plain(kernel).call();
+        return kernel.run::<false>();
     }
     match Arch::new() {
-        Arch::Scalar => Plain(kernel).call(),
+        Arch::Scalar => kernel.run::<false>(),
         arch => arch.dispatch(Fused(kernel)),
     }
 }
@@ -42,17 +42,6 @@ impl<K: Kernel> NullaryFnOnce for Fused<K> {
     #[inline(always)]
     fn call(self) -> K::Output {
         self.0.run::<true>()
-    }
-}
-
-struct Plain<K>(K);
-
-impl<K: Kernel> NullaryFnOnce for Plain<K> {
-    type Output = K::Output;
-
-    #[inline(always)]
-    fn call(self) -> K::Output {
-        self.0.run::<false>()
     }
 }
 

@@ -44,7 +44,7 @@ pub(crate) const MAX_VARIANCE_PX2: f64 = 1e12;
 pub(crate) const MIN_QUAT_NORM2: f64 = 1e-12;
 
 /// What a render gives: three images of the camera's size.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct Rendered<T = f32> {
     /// Linear blend of the gaussians' RGB over black.
     pub color: Image<[T; 3]>,
@@ -63,6 +63,21 @@ impl Rendered {
     /// If the pixel lies outside.
     pub fn surface_depth_m(&self, u: usize, v: usize) -> f32 {
         self.depth_m.at(u, v) / self.alpha.at(u, v)
+    }
+}
+
+impl<T: Copy + Default> Rendered<T> {
+    /// Takes on a size; what the images hold is then of no meaning.
+    pub(crate) fn resize(&mut self, width: usize, height: usize) {
+        resize(&mut self.color, width, height);
+        resize(&mut self.depth_m, width, height);
+        resize(&mut self.alpha, width, height);
+    }
+}
+
+fn resize<X: Copy + Default>(image: &mut Image<X>, width: usize, height: usize) {
+    if (image.width(), image.height()) != (width, height) {
+        *image = Image::filled(width, height, X::default());
     }
 }
 
@@ -90,11 +105,6 @@ impl<T: Copy + Default> Cotangents<T> {
 
     /// Takes on a size; what the images hold is then of no meaning.
     pub(crate) fn resize(&mut self, width: usize, height: usize) {
-        fn resize<X: Copy + Default>(image: &mut Image<X>, width: usize, height: usize) {
-            if (image.width(), image.height()) != (width, height) {
-                *image = Image::filled(width, height, X::default());
-            }
-        }
         resize(&mut self.d_color, width, height);
         resize(&mut self.d_depth_m, width, height);
         resize(&mut self.d_alpha, width, height);

@@ -6,8 +6,7 @@ use nalgebra::Vector3;
 use rand::SeedableRng;
 use rand_pcg::Pcg64Mcg;
 
-use crate::builder::Builder;
-use crate::builder::Place;
+use crate::builder::{Builder, Place};
 use crate::bvh::Bvh;
 use crate::layout::{self, Plan, WALL_M};
 use crate::light::{Lamp, LightMap};

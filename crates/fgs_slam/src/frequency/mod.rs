@@ -59,10 +59,9 @@ impl FrequencySegmenter {
     /// For images of `width` x `height` pixels.
     pub fn new(width: usize, height: usize, settings: FrequencySettings) -> Self {
         let padded = BORDER.canvas(width, height);
-        let equalizer = Equalizer::new(padded.width(), padded.height());
         Self {
             gray: Image::filled(width, height, 0),
-            equalizer: settings.clahe.then_some(equalizer),
+            equalizer: (settings.clahe).then(|| Equalizer::new(padded.width(), padded.height())),
             high_pass: HighPass::new(
                 padded.width(),
                 padded.height(),

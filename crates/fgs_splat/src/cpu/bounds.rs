@@ -77,9 +77,6 @@ pub(super) struct Support<T> {
 /// Pixels that the ellipse is larger than it should be, for what rounding does.
 const SLACK_PX: f64 = 1e-2;
 
-/// Bands of blocks, one block high, that are worked on together; they make whole rows of tiles.
-type Bands = Lanes<u32>;
-
 /// Tiles of a row that are worked on together: a bit for each of their columns of blocks, one
 /// after the last included, fits into 32.
 const STRIP: i32 = 3;
@@ -129,7 +126,8 @@ impl<T: Real> Support<T> {
             for strip in (first_tile..end_tile).step_by(STRIP as usize) {
                 let origin = strip * tile_blocks;
                 let width = STRIP * tile_blocks;
-                let mut bands: Bands = [0; LANES];
+                // Bands one block high, which make whole rows of tiles.
+                let mut bands: Lanes<BlockSet> = [0; LANES];
                 for lane in 0..LANES {
                     let from = (first[lane] - origin).max(0).min(width);
                     let to = (end[lane] - origin).min(width).max(from);

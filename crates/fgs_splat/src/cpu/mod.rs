@@ -20,7 +20,7 @@ mod render_pass;
 mod sample;
 mod tiles;
 
-use fgs_geom::{Image, View};
+use fgs_geom::View;
 use rayon::prelude::*;
 
 use bounds::{TILE_HEIGHT, TileGrid};
@@ -38,7 +38,7 @@ use crate::{Gaussians, Rendered};
 
 /// Renders gaussians. Owns the memory of a pass, so that passes of the same size allocate next to
 /// nothing.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub struct Rasterizer<T: Real = f32> {
     chunks: Vec<Chunk<T>>,
     lists: TileLists<T>,
@@ -47,26 +47,6 @@ pub struct Rasterizer<T: Real = f32> {
     /// Per slot of the tiles' lists.
     sums: Vec<PixelSums<T>>,
     rendered: Rendered<T>,
-}
-
-impl<T: Real> Default for Rasterizer<T> {
-    fn default() -> Self {
-        Self {
-            chunks: Vec::new(),
-            lists: TileLists::default(),
-            states: Vec::new(),
-            sums: Vec::new(),
-            rendered: empty_images(0, 0),
-        }
-    }
-}
-
-fn empty_images<T: Real>(width: usize, height: usize) -> Rendered<T> {
-    Rendered {
-        color: Image::filled(width, height, [T::ZERO; 3]),
-        depth_m: Image::filled(width, height, T::ZERO),
-        alpha: Image::filled(width, height, T::ZERO),
-    }
 }
 
 impl<T: Real> Rasterizer<T> {
@@ -118,9 +98,7 @@ impl<T: Real> Rasterizer<T> {
             rendered,
             ..
         } = self;
-        if (rendered.alpha.width(), rendered.alpha.height()) != (grid.width, grid.height) {
-            *rendered = empty_images(grid.width, grid.height);
-        }
+        rendered.resize(grid.width, grid.height);
         states.resize_with(grid.len(), TileState::default);
         let (starts, dealt) = (&lists.starts, &lists.dealt);
         let row_pixels = TILE_HEIGHT * grid.width.max(1);
