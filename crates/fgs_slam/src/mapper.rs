@@ -77,7 +77,7 @@ impl<M: GaussianModel> Mapper<M> {
             camera: frame.camera,
             world_from_camera: keyframe.world_from_camera,
         };
-        let rendered = self.model.render(&view);
+        let rendered = self.model.render(&view)?;
         let missing = missing_region(&rendered, frame, &self.config.seeding);
         let detail = self.segmenter.segment(&frame.color);
         let new_points = self.admit(&keyframe.new_points, &missing);
@@ -124,7 +124,7 @@ impl<M: GaussianModel> Mapper<M> {
                 min_opacity: mapping.prune_opacity,
                 max_scale_m: mapping.prune_scale_m,
                 max_aspect: mapping.prune_aspect,
-            });
+            })?;
         }
         Ok(())
     }
@@ -140,13 +140,16 @@ impl<M: GaussianModel> Mapper<M> {
     }
 
     /// What happened to the sparse map since the last call.
-    pub fn take_sparse_changes(&mut self) -> SparseChanges {
-        let mut changes = self.model.take_sparse_changes();
+    ///
+    /// # Errors
+    /// If the model fails.
+    pub fn take_sparse_changes(&mut self) -> Result<SparseChanges, MapperError> {
+        let mut changes = self.model.take_sparse_changes()?;
         changes.removed.append(&mut self.refused);
-        changes
+        Ok(changes)
     }
 
-    /// The map.
+    /// The map; after a failure, as far as it is known.
     pub fn into_gaussians(self) -> Gaussians {
         self.model.into_gaussians()
     }

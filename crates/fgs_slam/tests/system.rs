@@ -1,20 +1,28 @@
-//! The whole system on synthetic rooms: accuracy, repeatability, shutdown, and losing the camera.
+//! The whole system on synthetic rooms: accuracy, repeatability, shutdown, and losing the camera or
+//! the mapper.
 
 #![allow(clippy::unwrap_used)]
 
-use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::sync::OnceLock;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
-use fgs_geom::{Camera, Image, RgbdFrame, Se3, View};
+use fgs_geom::{Camera, FrameIndex, Image, RgbdFrame, Se3, View};
 use fgs_slam::{
-    Execution, Observer, SlamConfig, SlamError, SlamEvent, SlamOutput, TrackingStatus,
+    Execution, MapperError, Observer, SlamConfig, SlamError, SlamEvent, SlamOutput, TrackingStatus,
     model_settings, run,
 };
 use fgs_splat::{
-    CpuModel, GaussianModel, Gaussians, ModelError, PruneRule, Rendered, Seeds, SparseChanges,
-    StepStats, Target, ViewId,
+    CpuModel, GaussianModel, Gaussians, GpuError, ModelError, PruneRule, Rendered, Seeds,
+    SparseChanges, StepStats, Target, ViewId,
 };
 use fgs_synth::{SensorModel, Sequence, kinect_camera};
+
+const EVERY_MODE: [Execution; 3] = [
+    Execution::Lockstep,
+    Execution::Parallel,
+    Execution::Realtime,
+];
 
 type Frames = Vec<Result<RgbdFrame, std::io::Error>>;
 
@@ -122,10 +130,12 @@ fn tracks_and_maps_a_room_in_every_mode() {
             sparse_ids: vec![None; count],
         };
         model.insert(&seeds).unwrap();
-        let rendered = model.render(&View {
-            camera: seen.camera,
-            world_from_camera: output.frames[20].world_from_camera.unwrap(),
-        });
+        let rendered = model
+            .render(&View {
+                camera: seen.camera,
+                world_from_camera: output.frames[20].world_from_camera.unwrap(),
+            })
+            .unwrap();
         let psnr = psnr_db(&rendered.color, &seen.color);
         assert!(psnr >= 24.0, "{execution:?}: {psnr} dB");
     }
@@ -264,11 +274,7 @@ fn damaged_frames_are_skipped_and_counted() {
 #[test]
 fn no_frames_give_an_empty_map() {
     let camera = *room(1).camera();
-    for execution in [
-        Execution::Lockstep,
-        Execution::Parallel,
-        Execution::Realtime,
-    ] {
+    for execution in EVERY_MODE {
         let output = go(Vec::new(), &camera, execution).unwrap();
         assert!(output.frames.is_empty() && output.gaussians.is_empty());
     }
@@ -292,11 +298,7 @@ impl Observer for StopAfter<'_> {
 #[test]
 fn a_stopped_run_keeps_what_it_has() {
     let sequence = room(30);
-    for execution in [
-        Execution::Lockstep,
-        Execution::Parallel,
-        Execution::Realtime,
-    ] {
+    for execution in EVERY_MODE {
         let config = config();
         let stop = AtomicBool::new(false);
         let mut observer = StopAfter {
@@ -324,91 +326,177 @@ fn a_stopped_run_keeps_what_it_has() {
     }
 }
 
-/// A model that does nothing well, to see what the system makes of it.
-struct BadModel {
-    steps_before_failure: usize,
-    panics: bool,
+/// A model that is slow, and fails or panics after some calls.
+struct BadModel<'a> {
+    model: CpuModel,
     step_takes: Duration,
-    steps: AtomicUsize,
+    steps_left: usize,
+    inserts_left: usize,
+    panics: bool,
+    failed: Option<&'a OnceLock<Instant>>,
 }
 
-impl GaussianModel for BadModel {
+impl BadModel<'_> {
+    fn new() -> Self {
+        Self {
+            model: CpuModel::new(model_settings(&config().mapping)),
+            step_takes: Duration::ZERO,
+            steps_left: usize::MAX,
+            inserts_left: usize::MAX,
+            panics: false,
+            failed: None,
+        }
+    }
+
+    fn fail(&self) -> ModelError {
+        assert!(!self.panics, "a model that panics");
+        self.failed.unwrap().set(Instant::now()).unwrap();
+        GpuError::Lost("unplugged".into()).into()
+    }
+}
+
+impl GaussianModel for BadModel<'_> {
     fn len(&self) -> usize {
-        0
+        self.model.len()
     }
-    fn add_view(&mut self, _: View, _: Target) -> Result<ViewId, ModelError> {
-        Ok(ViewId(0))
+    fn add_view(&mut self, view: View, target: Target) -> Result<ViewId, ModelError> {
+        self.model.add_view(view, target)
     }
-    fn drop_view(&mut self, _: ViewId) -> Result<(), ModelError> {
-        Ok(())
+    fn drop_view(&mut self, id: ViewId) -> Result<(), ModelError> {
+        self.model.drop_view(id)
     }
-    fn insert(&mut self, _: &Seeds) -> Result<(), ModelError> {
-        Ok(())
+    fn insert(&mut self, seeds: &Seeds) -> Result<(), ModelError> {
+        let left = self.inserts_left.checked_sub(1);
+        self.inserts_left = left.ok_or_else(|| self.fail())?;
+        self.model.insert(seeds)
     }
-    fn prune(&mut self, _: &PruneRule) -> usize {
-        0
+    fn prune(&mut self, rule: &PruneRule) -> Result<usize, ModelError> {
+        self.model.prune(rule)
     }
-    fn render(&mut self, view: &View) -> Rendered {
-        CpuModel::default().render(view)
+    fn render(&mut self, view: &View) -> Result<Rendered, ModelError> {
+        self.model.render(view)
     }
     fn step(&mut self, id: ViewId) -> Result<(), ModelError> {
         std::thread::sleep(self.step_takes);
-        if self.steps.fetch_add(1, Ordering::Relaxed) < self.steps_before_failure {
-            return Ok(());
-        }
-        assert!(!self.panics, "a model that panics");
-        Err(ModelError::NoSuchView(id))
+        let left = self.steps_left.checked_sub(1);
+        self.steps_left = left.ok_or_else(|| self.fail())?;
+        self.model.step(id)
     }
     fn take_stats(&mut self) -> Vec<StepStats> {
-        Vec::new()
+        self.model.take_stats()
     }
-    fn covisibility(&mut self, _: ViewId) -> Result<Vec<(ViewId, f32)>, ModelError> {
-        Ok(Vec::new())
+    fn covisibility(&mut self, id: ViewId) -> Result<Vec<(ViewId, f32)>, ModelError> {
+        self.model.covisibility(id)
     }
-    fn take_sparse_changes(&mut self) -> SparseChanges {
-        SparseChanges::default()
+    fn take_sparse_changes(&mut self) -> Result<SparseChanges, ModelError> {
+        self.model.take_sparse_changes()
     }
-    fn gaussians(&mut self) -> Gaussians {
-        Gaussians::default()
+    fn gaussians(&mut self) -> Result<Gaussians, ModelError> {
+        self.model.gaussians()
+    }
+    fn into_gaussians(self) -> Gaussians {
+        self.model.into_gaussians()
+    }
+}
+
+fn go_badly(
+    input: impl Iterator<Item = RgbdFrame>,
+    camera: &Camera,
+    execution: Execution,
+    model: BadModel<'_>,
+) -> Result<SlamOutput, SlamError> {
+    let frames = input.map(Ok::<_, std::io::Error>);
+    let stop = AtomicBool::new(false);
+    run(frames, camera, &config(), execution, model, &mut (), &stop)
+}
+
+/// Forth and back without end: a run must not wait for the end of its frames.
+fn endless_frames(sequence: &Sequence) -> impl Iterator<Item = RgbdFrame> {
+    let last = sequence.len() - 1;
+    (0..).map(move |i| RgbdFrame {
+        index: FrameIndex(i),
+        timestamp_secs: i as f64 / 30.0,
+        ..sequence.frame(last.abs_diff(i % (2 * last)))
+    })
+}
+
+#[test]
+fn a_mapper_that_fails_ends_the_run_and_what_there_was_is_kept() {
+    let sequence = room(20);
+    for execution in EVERY_MODE {
+        for (steps_left, inserts_left) in [(6, usize::MAX), (usize::MAX, 1)] {
+            let failed = OnceLock::new();
+            let model = BadModel {
+                steps_left,
+                inserts_left,
+                failed: Some(&failed),
+                ..BadModel::new()
+            };
+            let frames = endless_frames(&sequence);
+            let output = go_badly(frames, sequence.camera(), execution, model).unwrap();
+            let took = failed.get().unwrap().elapsed();
+            assert!(took <= Duration::from_secs(1), "{execution:?}: {took:?}");
+            let failure = output.failure.unwrap();
+            assert!(matches!(failure, MapperError::Model(ModelError::Device(_))));
+            assert_eq!(
+                failure.to_string(),
+                "the graphics device was lost: unplugged"
+            );
+            assert!(output.keyframes[0].index == FrameIndex(0) && output.gaussians.len() > 100);
+            if steps_left == 6 {
+                assert_eq!(output.timings.steps, 6, "{execution:?}");
+            }
+            // Two steps a frame; the tracking keyframe after the first comes when it must.
+            match (execution, inserts_left) {
+                (Execution::Lockstep, usize::MAX) => assert_eq!(output.frames.len(), 4),
+                (Execution::Lockstep, _) => {
+                    assert_eq!(
+                        output.frames.last().unwrap().index,
+                        output.keyframes[1].index
+                    );
+                }
+                _ => assert!(!output.frames.is_empty()),
+            }
+        }
     }
 }
 
 #[test]
-fn a_mapper_that_dies_ends_the_run_with_its_reason() {
+fn a_mapper_that_fails_at_the_closing_keyframe_costs_only_that() {
+    let sequence = room(5);
+    for execution in EVERY_MODE {
+        let failed = OnceLock::new();
+        let model = BadModel {
+            inserts_left: 1,
+            failed: Some(&failed),
+            ..BadModel::new()
+        };
+        let frames = sequence.frames();
+        let output = go_badly(frames, sequence.camera(), execution, model).unwrap();
+        assert!(output.failure.is_some(), "{execution:?}");
+        assert_eq!(output.frames.len() + output.frames_dropped, 5);
+        assert!(output.gaussians.len() > 100, "{execution:?}");
+    }
+}
+
+/// In lockstep there is no other thread whose panic could go unnoticed.
+#[test]
+fn a_mapper_that_panics_ends_the_run() {
     let sequence = room(20);
-    for execution in [
-        Execution::Lockstep,
-        Execution::Parallel,
-        Execution::Realtime,
-    ] {
-        for panics in [false, true] {
-            if panics && execution == Execution::Lockstep {
-                continue; // There is no other thread whose panic could go unnoticed.
-            }
-            let model = BadModel {
-                steps_before_failure: 6,
-                panics,
-                step_takes: Duration::ZERO,
-                steps: AtomicUsize::new(0),
-            };
-            // Frames that never end: the run must not wait for their end.
-            let input = (0..).map(|i| Ok::<_, std::io::Error>(sequence.frame(i % 20)));
-            let start = Instant::now();
-            let result = run(
-                input,
-                sequence.camera(),
-                &config(),
-                execution,
-                model,
-                &mut (),
-                &AtomicBool::new(false),
-            );
-            match (result, panics) {
-                (Err(SlamError::Mapper(_)), false) | (Err(SlamError::MapperPanicked), true) => {}
-                (other, _) => panic!("{execution:?}: {other:?}"),
-            }
-            assert!(start.elapsed() <= Duration::from_secs(20), "{execution:?}");
-        }
+    for execution in [Execution::Parallel, Execution::Realtime] {
+        let model = BadModel {
+            steps_left: 6,
+            panics: true,
+            ..BadModel::new()
+        };
+        let frames = endless_frames(&sequence);
+        let start = Instant::now();
+        let result = go_badly(frames, sequence.camera(), execution, model);
+        assert!(
+            matches!(result, Err(SlamError::MapperPanicked)),
+            "{execution:?}: {result:?}"
+        );
+        assert!(start.elapsed() <= Duration::from_secs(20), "{execution:?}");
     }
 }
 
@@ -416,21 +504,11 @@ fn a_mapper_that_dies_ends_the_run_with_its_reason() {
 fn a_slow_mapper_delays_but_loses_nothing() {
     let sequence = room(25);
     let model = BadModel {
-        steps_before_failure: usize::MAX,
-        panics: false,
         step_takes: Duration::from_millis(5),
-        steps: AtomicUsize::new(0),
+        ..BadModel::new()
     };
-    let output = run(
-        frames(&sequence).into_iter(),
-        sequence.camera(),
-        &config(),
-        Execution::Parallel,
-        model,
-        &mut (),
-        &AtomicBool::new(false),
-    )
-    .unwrap();
+    let execution = Execution::Parallel;
+    let output = go_badly(sequence.frames(), sequence.camera(), execution, model).unwrap();
     assert_eq!((output.frames.len(), output.timings.steps), (25, 50));
 }
 

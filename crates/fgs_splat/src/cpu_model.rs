@@ -95,13 +95,13 @@ impl GaussianModel for CpuModel {
         Ok(())
     }
 
-    fn prune(&mut self, rule: &PruneRule) -> usize {
+    fn prune(&mut self, rule: &PruneRule) -> Result<usize, ModelError> {
         let keep: Vec<bool> = (0..self.len())
             .map(|i| survives(&self.gaussians, i, rule))
             .collect();
         let pruned = keep.iter().filter(|keep| !**keep).count();
         if pruned == 0 {
-            return 0;
+            return Ok(0);
         }
         let mut kept = 0;
         let new_from_old: Vec<Option<u32>> = keep
@@ -124,12 +124,12 @@ impl GaussianModel for CpuModel {
         for view in self.views.values_mut() {
             view.visible = view.visible.compacted(&new_from_old);
         }
-        pruned
+        Ok(pruned)
     }
 
-    fn render(&mut self, view: &View) -> Rendered {
+    fn render(&mut self, view: &View) -> Result<Rendered, ModelError> {
         let pass = self.rasterizer.render(&self.gaussians, view);
-        pass.rendered().clone()
+        Ok(pass.rendered().clone())
     }
 
     fn step(&mut self, id: ViewId) -> Result<(), ModelError> {
@@ -182,7 +182,7 @@ impl GaussianModel for CpuModel {
             .collect())
     }
 
-    fn take_sparse_changes(&mut self) -> SparseChanges {
+    fn take_sparse_changes(&mut self) -> Result<SparseChanges, ModelError> {
         let moved = std::mem::take(&mut self.moved);
         let mut moved: Vec<SparseGaussian> = moved
             .iter()
@@ -191,11 +191,11 @@ impl GaussianModel for CpuModel {
         moved.sort_by_key(|gaussian| gaussian.id);
         let mut removed = std::mem::take(&mut self.removed);
         removed.sort_unstable();
-        SparseChanges { moved, removed }
+        Ok(SparseChanges { moved, removed })
     }
 
-    fn gaussians(&mut self) -> Gaussians {
-        self.gaussians.clone()
+    fn gaussians(&mut self) -> Result<Gaussians, ModelError> {
+        Ok(self.gaussians.clone())
     }
 
     fn into_gaussians(self) -> Gaussians {

@@ -5,6 +5,7 @@ mod adam;
 mod cpu;
 mod cpu_model;
 mod gaussians;
+mod gpu;
 mod kernel;
 mod losses;
 mod model;
@@ -18,6 +19,7 @@ pub use adam::{Adam, AdamError, LearningRates};
 pub use cpu::{Rasterizer, Real, RenderPass};
 pub use cpu_model::CpuModel;
 pub use gaussians::{Gaussian, Gaussians, SH0_FACTOR};
+pub use gpu::{GpuDevice, GpuError, GpuModel};
 pub use losses::{ImageLoss, LossError, LossSettings, Target, photometric_loss, scale_regularizer};
 pub use model::{
     GaussianModel, ModelError, ModelSettings, PruneRule, Seeds, SparseChanges, SparseGaussian,

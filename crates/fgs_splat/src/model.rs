@@ -4,7 +4,9 @@
 use fgs_geom::View;
 use thiserror::Error;
 
-use crate::{AdamError, Gaussians, LearningRates, LossError, LossSettings, Rendered, Target};
+use crate::{
+    AdamError, Gaussians, GpuError, LearningRates, LossError, LossSettings, Rendered, Target,
+};
 
 /// A registered view. Never reused, also not after [`GaussianModel::drop_view`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -103,6 +105,9 @@ pub enum ModelError {
     /// The optimiser refused its input.
     #[error(transparent)]
     Adam(#[from] AdamError),
+    /// The graphics device failed.
+    #[error(transparent)]
+    Device(#[from] GpuError),
 }
 
 /// A map of gaussians that can be rendered and optimised.
@@ -118,31 +123,37 @@ pub trait GaussianModel {
     /// Registers a view and what it should look like.
     ///
     /// # Errors
-    /// If the target's size is not the view's.
+    /// If the target's size is not the view's, or the device fails.
     fn add_view(&mut self, view: View, target: Target) -> Result<ViewId, ModelError>;
 
     /// Forgets a view; its gaussians stay.
     ///
     /// # Errors
-    /// If there is no such view.
+    /// If there is no such view, or the device fails.
     fn drop_view(&mut self, id: ViewId) -> Result<(), ModelError>;
 
     /// Adds gaussians.
     ///
     /// # Errors
-    /// If the seeds' arrays differ in length.
+    /// If the seeds' arrays differ in length, or the device fails.
     fn insert(&mut self, seeds: &Seeds) -> Result<(), ModelError>;
 
     /// Removes gaussians; returns how many.
-    fn prune(&mut self, rule: &PruneRule) -> usize;
+    ///
+    /// # Errors
+    /// If the device fails.
+    fn prune(&mut self, rule: &PruneRule) -> Result<usize, ModelError>;
 
     /// Colour, depth and alpha as seen from a view.
-    fn render(&mut self, view: &View) -> Rendered;
+    ///
+    /// # Errors
+    /// If the device fails.
+    fn render(&mut self, view: &View) -> Result<Rendered, ModelError>;
 
     /// One optimisation step on a registered view: render, loss, backward, Adam.
     ///
     /// # Errors
-    /// If there is no such view.
+    /// If there is no such view, or the device fails.
     fn step(&mut self, id: ViewId) -> Result<(), ModelError>;
 
     /// Statistics of steps finished since the last call, in their order.
@@ -152,20 +163,23 @@ pub trait GaussianModel {
     /// shows too. Visible means contributing to a pixel when the view was last rendered.
     ///
     /// # Errors
-    /// If there is no such view.
+    /// If there is no such view, or the device fails.
     fn covisibility(&mut self, id: ViewId) -> Result<Vec<(ViewId, f32)>, ModelError>;
 
     /// What happened to the sparse map since the last call.
-    fn take_sparse_changes(&mut self) -> SparseChanges;
+    ///
+    /// # Errors
+    /// If the device fails.
+    fn take_sparse_changes(&mut self) -> Result<SparseChanges, ModelError>;
 
     /// A copy of all gaussians.
-    fn gaussians(&mut self) -> Gaussians;
+    ///
+    /// # Errors
+    /// If the device fails.
+    fn gaussians(&mut self) -> Result<Gaussians, ModelError>;
 
-    /// All gaussians, once they are final; without a copy where they lie in memory.
-    fn into_gaussians(mut self) -> Gaussians
+    /// All gaussians, once they are final; after a failure of the device, as they were last known.
+    fn into_gaussians(self) -> Gaussians
     where
-        Self: Sized,
-    {
-        self.gaussians()
-    }
+        Self: Sized;
 }

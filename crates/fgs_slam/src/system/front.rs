@@ -19,7 +19,7 @@ pub struct Front<'a> {
     pool: Option<ThreadPool>,
     observer: &'a mut dyn Observer,
     /// Ends the run when set.
-    pub stop: &'a AtomicBool,
+    stop: &'a AtomicBool,
     pub frames: Vec<Tracked>,
     pub keyframes: Vec<KeyframeRecord>,
     pub dropped: usize,
@@ -43,6 +43,26 @@ impl<'a> Front<'a> {
     /// Gives the tracker threads of its own.
     pub fn compute_on(&mut self, pool: ThreadPool) {
         self.pool = Some(pool);
+    }
+
+    /// Hands on each frame that can be read, until they end, the run is stopped, or `None` says that
+    /// the mapper is gone.
+    pub fn follow<E: Error + 'static>(
+        &mut self,
+        frames: impl Iterator<Item = Result<RgbdFrame, E>>,
+        mut each: impl FnMut(&mut Self, RgbdFrame) -> Option<()>,
+    ) {
+        let stop = self.stop;
+        for frame in frames.take_while(|_| !stop.load(Ordering::Relaxed)) {
+            match frame {
+                Err(error) => self.skip(&error),
+                Ok(frame) => {
+                    if each(self, frame).is_none() {
+                        break;
+                    }
+                }
+            }
+        }
     }
 
     /// Tracks a frame; the keyframe it becomes, if any.
@@ -80,7 +100,7 @@ impl<'a> Front<'a> {
             }));
     }
 
-    pub fn skip(&mut self, error: &(impl Error + 'static)) {
+    fn skip(&mut self, error: &(impl Error + 'static)) {
         self.damaged += 1;
         self.observer.on(&SlamEvent::Damaged { error });
     }

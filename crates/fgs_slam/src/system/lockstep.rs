@@ -1,12 +1,10 @@
 //! Tracker and mapper in strict turns on one thread; inside a turn all threads compute.
 
 use std::error::Error;
-use std::sync::atomic::Ordering;
 
 use fgs_geom::RgbdFrame;
 use fgs_splat::GaussianModel;
 
-use super::SlamError;
 use super::front::{Front, MapSize};
 use super::worker::MapperWorker;
 
@@ -14,18 +12,13 @@ pub fn run<E: Error + 'static, M: GaussianModel>(
     frames: impl Iterator<Item = Result<RgbdFrame, E>>,
     front: &mut Front<'_>,
     mut worker: MapperWorker<M>,
-) -> Result<MapperWorker<M>, SlamError> {
+) -> MapperWorker<M> {
     let map = MapSize::default();
-    let stop = front.stop;
-    for frame in frames.take_while(|_| !stop.load(Ordering::Relaxed)) {
-        match frame {
-            Err(error) => front.skip(&error),
-            Ok(frame) => {
-                let keyframe = front.track(frame, &map);
-                let changes = worker.after_frame(keyframe.as_ref(), &map)?;
-                front.tracker.update_map(&changes);
-            }
-        }
-    }
-    Ok(worker)
+    front.follow(frames, |front, frame| {
+        let keyframe = front.track(frame, &map);
+        let changes = worker.after_frame(keyframe.as_ref(), &map)?;
+        front.tracker.update_map(&changes);
+        Some(())
+    });
+    worker
 }

@@ -22,7 +22,7 @@ use crate::keyframes::KeyframeKind;
 use crate::mapper::{Mapper, MapperError};
 use crate::observer::Observer;
 use crate::tracker::{Tracked, Tracker};
-use front::Front;
+use front::{Front, MapSize};
 use worker::MapperWorker;
 
 /// How tracker and mapper take turns.
@@ -53,6 +53,8 @@ pub struct SlamOutput {
     pub frames_damaged: usize,
     /// Where the time went.
     pub timings: Timings,
+    /// Why the mapper could not go on, which ended the run early.
+    pub failure: Option<MapperError>,
 }
 
 /// A keyframe's place in the run.
@@ -77,15 +79,12 @@ pub struct Timings {
     pub steps: usize,
 }
 
-/// Why a run ended early.
+/// Why a run has no result.
 #[derive(Debug, thiserror::Error)]
 pub enum SlamError {
     /// A setting is impossible.
     #[error(transparent)]
     Config(#[from] ConfigError),
-    /// The mapper failed.
-    #[error("the mapper stopped: {0}")]
-    Mapper(#[from] MapperError),
     /// The threads of tracker or mapper do not start.
     #[error("cannot start the threads that compute: {0}")]
     Threads(#[from] ThreadPoolBuildError),
@@ -94,11 +93,12 @@ pub enum SlamError {
     MapperPanicked,
 }
 
-/// Runs the system over `frames`, all of the given camera, until they end or `stop` is set; either
-/// way everything so far is returned. Frames that are errors are skipped and counted.
+/// Runs the system over `frames`, all of the given camera, until they end, `stop` is set or the
+/// mapper fails; in any case everything so far is returned. Frames that are errors are skipped and
+/// counted.
 ///
 /// # Errors
-/// If the configuration is impossible or the mapper fails.
+/// If the configuration is impossible, threads do not start or the mapper panics.
 pub fn run<E: Error + 'static>(
     frames: impl Iterator<Item = Result<RgbdFrame, E>>,
     camera: &Camera,
@@ -113,11 +113,16 @@ pub fn run<E: Error + 'static>(
     let mut front = Front::new(Tracker::new(camera, config), observer, stop);
     let worker = MapperWorker::new(Mapper::new(model, camera, config), config);
     let mut worker = match execution {
-        Execution::Lockstep => lockstep::run(frames, &mut front, worker)?,
+        Execution::Lockstep => lockstep::run(frames, &mut front, worker),
         Execution::Parallel => parallel::run(frames, &mut front, worker)?,
         Execution::Realtime => realtime::run(frames, &mut front, worker)?,
     };
-    worker.finish(front.finish().as_ref())?;
+    if worker.failure.is_none()
+        && let Some(keyframe) = front.finish()
+    {
+        // It costs no optimisation step: those are spent.
+        worker.work(&MapSize::default(), |mapper| mapper.insert(&keyframe));
+    }
     Ok(SlamOutput {
         frames: front.frames,
         keyframes: front.keyframes,
@@ -129,5 +134,6 @@ pub fn run<E: Error + 'static>(
             steps: worker.mapper.steps(),
         },
         gaussians: worker.mapper.into_gaussians(),
+        failure: worker.failure,
     })
 }

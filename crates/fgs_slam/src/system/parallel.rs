@@ -2,7 +2,6 @@
 //! falls behind.
 
 use std::error::Error;
-use std::sync::atomic::Ordering;
 use std::thread;
 
 use crossbeam_channel::{bounded, unbounded};
@@ -31,28 +30,19 @@ pub fn run<E: Error + 'static, M: GaussianModel + Send>(
     thread::scope(|scope| {
         let mapping = scope.spawn(move || {
             for keyframe in from_tracker {
-                let changes = worker.after_frame(keyframe.as_ref(), map)?;
-                if to_tracker.send(changes).is_err() {
+                let changes = worker.after_frame(keyframe.as_ref(), map);
+                if changes.is_none_or(|changes| to_tracker.send(changes).is_err()) {
                     break;
                 }
             }
-            Ok(worker)
+            worker
         });
-        let stop = front.stop;
-        for frame in frames.take_while(|_| !stop.load(Ordering::Relaxed)) {
-            match frame {
-                Err(error) => front.skip(&error),
-                Ok(frame) => {
-                    from_mapper
-                        .try_iter()
-                        .for_each(|changes| front.tracker.update_map(&changes));
-                    let keyframe = front.track(frame, map);
-                    if to_mapper.send(keyframe).is_err() {
-                        break;
-                    }
-                }
-            }
-        }
+        front.follow(frames, |front, frame| {
+            from_mapper
+                .try_iter()
+                .for_each(|changes| front.tracker.update_map(&changes));
+            to_mapper.send(front.track(frame, map)).ok()
+        });
         drop(to_mapper);
         join(mapping)
     })

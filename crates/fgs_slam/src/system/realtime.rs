@@ -6,7 +6,6 @@
 //! loops would wait for the mapper's long ones, whereas the operating system lets it in at once.
 
 use std::error::Error;
-use std::sync::atomic::Ordering;
 use std::thread;
 use std::time::{Duration, Instant};
 
@@ -19,7 +18,6 @@ use super::SlamError;
 use super::front::{Front, MapSize};
 use super::worker::{MapperWorker, join};
 use crate::keyframes::Keyframe;
-use crate::mapper::MapperError;
 use crate::tracker::Tracker;
 
 /// How long a frame may wait for the tracker: three frames at 30 a second, enough to make up for a
@@ -39,35 +37,22 @@ pub fn run<E: Error + 'static, M: GaussianModel + Send>(
     thread::scope(|scope| {
         let mapping = scope.spawn(move || {
             mapper_pool.install(|| {
-                optimize_until_disconnected(&mut worker, &from_tracker, &to_tracker, map)
-            })?;
-            Ok(worker)
+                optimize_until_disconnected(&mut worker, &from_tracker, &to_tracker, map);
+            });
+            worker
         });
         let mut clock: Option<Clock> = None;
-        let stop = front.stop;
-        for frame in frames.take_while(|_| !stop.load(Ordering::Relaxed)) {
-            let frame = match frame {
-                Err(error) => {
-                    front.skip(&error);
-                    continue;
-                }
-                Ok(frame) => frame,
-            };
+        front.follow(frames, |front, frame| {
             let clock = clock.get_or_insert_with(|| Clock::started_at(frame.timestamp_secs));
             let due = clock.due(frame.timestamp_secs);
-            if !follow_mapper_until(due, &mut front.tracker, &from_mapper) {
-                break;
-            }
+            follow_mapper_until(due, &mut front.tracker, &from_mapper)?;
             if Instant::now() > due + MAX_WAIT {
                 front.drop_late();
-                continue;
+            } else if let Some(keyframe) = front.track(frame, map) {
+                to_mapper.send(keyframe).ok()?;
             }
-            if let Some(keyframe) = front.track(frame, map)
-                && to_mapper.send(keyframe).is_err()
-            {
-                break;
-            }
-        }
+            Some(())
+        });
         drop(to_mapper);
         join(mapping)
     })
@@ -87,45 +72,42 @@ fn pool(name: &'static str, threads: usize) -> Result<ThreadPool, ThreadPoolBuil
         .build()
 }
 
-/// Takes over what the mapper reports until a time; `false` as soon as the mapper is gone.
+/// Takes over what the mapper reports until a time; `None` as soon as the mapper is gone.
 fn follow_mapper_until(
     until: Instant,
     tracker: &mut Tracker,
     from_mapper: &Receiver<SparseChanges>,
-) -> bool {
+) -> Option<()> {
     loop {
         match from_mapper.recv_deadline(until) {
             Ok(changes) => tracker.update_map(&changes),
-            Err(RecvTimeoutError::Timeout) => return true,
-            Err(RecvTimeoutError::Disconnected) => return false,
+            Err(RecvTimeoutError::Timeout) => return Some(()),
+            Err(RecvTimeoutError::Disconnected) => return None,
         }
     }
 }
 
-/// Takes in keyframes as they come and optimises as long as the tracker lives.
+/// Takes in keyframes as they come and optimises as long as the tracker lives and nothing fails.
 fn optimize_until_disconnected<M: GaussianModel>(
     worker: &mut MapperWorker<M>,
     from_tracker: &Receiver<Keyframe>,
     to_tracker: &Sender<SparseChanges>,
     map: &MapSize,
-) -> Result<(), MapperError> {
+) {
     let Ok(mut newest) = from_tracker.recv().map(Some) else {
-        return Ok(());
+        return;
     };
-    loop {
-        let start = Instant::now();
-        match &newest {
-            Some(keyframe) => worker.mapper.insert(keyframe)?,
-            None => worker.mapper.step()?,
-        }
-        let changes = worker.report(start, map);
+    while let Some(changes) = worker.work(map, |mapper| match &newest {
+        Some(keyframe) => mapper.insert(keyframe),
+        None => mapper.step(),
+    }) {
         if to_tracker.send(changes).is_err() {
-            return Ok(());
+            return;
         }
         newest = match from_tracker.try_recv() {
             Ok(keyframe) => Some(keyframe),
             Err(TryRecvError::Empty) => None,
-            Err(TryRecvError::Disconnected) => return Ok(()),
+            Err(TryRecvError::Disconnected) => return,
         };
     }
 }

@@ -1,4 +1,4 @@
-//! The mapping side of a run: the mapper, the steps due to it and the time it used.
+//! The mapping side of a run: the mapper, the steps due to it, the time it used and what ended it.
 
 use std::sync::atomic::Ordering;
 use std::thread;
@@ -38,11 +38,13 @@ impl Budget {
     }
 }
 
-/// The mapper and the time it used.
+/// The mapper, the time it used and what ended it.
 pub struct MapperWorker<M> {
     pub mapper: Mapper<M>,
     budget: Budget,
     pub busy: Duration,
+    /// Why the mapper cannot go on. The run ends then.
+    pub failure: Option<MapperError>,
 }
 
 impl<M: GaussianModel> MapperWorker<M> {
@@ -51,50 +53,42 @@ impl<M: GaussianModel> MapperWorker<M> {
             mapper,
             budget: Budget::new(config.mapping.iterations_per_frame),
             busy: Duration::ZERO,
+            failure: None,
         }
     }
 
-    /// Everything that is due after a frame.
+    /// Everything that is due after a frame; `None` if the mapper fails.
     pub fn after_frame(
         &mut self,
         keyframe: Option<&Keyframe>,
         map: &MapSize,
-    ) -> Result<SparseChanges, MapperError> {
-        let start = Instant::now();
-        if let Some(keyframe) = keyframe {
-            self.mapper.insert(keyframe)?;
-        }
-        for _ in 0..self.budget.next_frame() {
-            self.mapper.step()?;
-        }
-        Ok(self.report(start, map))
+    ) -> Option<SparseChanges> {
+        let steps = self.budget.next_frame();
+        self.work(map, |mapper| {
+            keyframe.map_or(Ok(()), |keyframe| mapper.insert(keyframe))?;
+            (0..steps).try_for_each(|_| mapper.step())
+        })
     }
 
-    /// Takes in the keyframe that closes the run. It costs no optimisation step: those are spent.
-    pub fn finish(&mut self, keyframe: Option<&Keyframe>) -> Result<(), MapperError> {
+    /// Lets the mapper work, and reports what became of the map; `None` if the mapper fails.
+    pub fn work(
+        &mut self,
+        map: &MapSize,
+        work: impl FnOnce(&mut Mapper<M>) -> Result<(), MapperError>,
+    ) -> Option<SparseChanges> {
         let start = Instant::now();
-        if let Some(keyframe) = keyframe {
-            self.mapper.insert(keyframe)?;
-        }
-        self.busy += start.elapsed();
-        Ok(())
-    }
-
-    pub fn report(&mut self, start: Instant, map: &MapSize) -> SparseChanges {
+        let changes = work(&mut self.mapper).and_then(|()| self.mapper.take_sparse_changes());
         self.busy += start.elapsed();
         map.gaussians
             .store(self.mapper.num_gaussians(), Ordering::Relaxed);
         map.steps.store(self.mapper.steps(), Ordering::Relaxed);
-        self.mapper.take_sparse_changes()
+        changes.map_err(|error| self.failure = Some(error)).ok()
     }
 }
 
 /// Waits for the mapper's thread.
 pub fn join<M>(
-    mapping: thread::ScopedJoinHandle<'_, Result<MapperWorker<M>, MapperError>>,
+    mapping: thread::ScopedJoinHandle<'_, MapperWorker<M>>,
 ) -> Result<MapperWorker<M>, SlamError> {
-    match mapping.join() {
-        Ok(result) => Ok(result?),
-        Err(_) => Err(SlamError::MapperPanicked),
-    }
+    mapping.join().map_err(|_| SlamError::MapperPanicked)
 }

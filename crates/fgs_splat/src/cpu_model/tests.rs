@@ -72,7 +72,7 @@ fn the_regularizer_counts_by_its_weight() {
         for _ in 0..30 {
             model.step(id).unwrap();
         }
-        let log_scales = model.gaussians().log_scales;
+        let log_scales = model.gaussians().unwrap().log_scales;
         let uneven = log_scales.iter().map(|[x, y, _]| (x - y).abs());
         uneven.sum::<f32>() / log_scales.len() as f32
     };
@@ -132,16 +132,16 @@ fn pruning_removes_the_faint_the_long_and_the_narrow_and_nothing_else() {
         max_aspect: 10.0,
     };
     let count = seeds.gaussians.len();
-    assert_eq!(model.prune(&rule), 4);
+    assert_eq!(model.prune(&rule).unwrap(), 4);
     assert_eq!(model.len(), count - 4);
     let kept: Vec<[f32; 3]> = (0..count)
         .filter(|i| ![10, 20, 31, 40].contains(i))
         .map(|i| seeds.gaussians.means[i])
         .collect();
-    assert_eq!(model.gaussians().means, kept);
-    let changes = model.take_sparse_changes();
+    assert_eq!(model.gaussians().unwrap().means, kept);
+    let changes = model.take_sparse_changes().unwrap();
     assert_eq!(changes.removed, [10, 20, 40].map(SparseId));
-    assert_eq!(model.prune(&rule), 0);
+    assert_eq!(model.prune(&rule).unwrap(), 0);
     // What the views show has moved up with the gaussians.
     let before = model.covisibility(ahead).unwrap();
     model.drop_view(aside).unwrap();
@@ -155,18 +155,21 @@ fn pruning_removes_the_faint_the_long_and_the_narrow_and_nothing_else() {
 #[test]
 fn sparse_changes_are_those_of_the_gaussians_that_steps_touched() {
     let mut model = model();
-    assert_eq!(model.take_sparse_changes(), SparseChanges::default());
+    assert_eq!(
+        model.take_sparse_changes().unwrap(),
+        SparseChanges::default()
+    );
     let id = model.add_view(view(0.4), target()).unwrap();
     model.step(id).unwrap();
-    let moved = model.take_sparse_changes().moved;
+    let moved = model.take_sparse_changes().unwrap().moved;
     let sparse = wall().sparse_ids.iter().flatten().count();
     assert!(moved.len() > 20 && moved.len() < sparse);
-    let gaussians = model.gaussians();
+    let gaussians = model.gaussians().unwrap();
     for sparse in moved {
         assert_eq!(sparse.id.0 % 2, 0);
         assert_eq!(sparse.mean, gaussians.means[sparse.id.0 as usize]);
     }
-    assert!(model.take_sparse_changes().moved.is_empty());
+    assert!(model.take_sparse_changes().unwrap().moved.is_empty());
 }
 
 #[test]
@@ -194,7 +197,7 @@ fn an_empty_map_is_black_and_can_be_stepped() {
     let mut model = CpuModel::default();
     let id = model.add_view(view(0.0), target()).unwrap();
     model.step(id).unwrap();
-    let rendered = model.render(&view(0.0));
+    let rendered = model.render(&view(0.0)).unwrap();
     assert!(rendered.color.data().iter().all(|rgb| *rgb == [0.0; 3]));
     assert!(model.is_empty());
 }

@@ -1,0 +1,76 @@
+//! What goes wrong with a graphics device: none is there, it is too small, or it fails.
+//!
+//! Messages are for the person who runs the program, the device's own words at their end.
+
+use thiserror::Error;
+
+/// Why a graphics device cannot compute.
+#[derive(Debug, Error, PartialEq)]
+pub enum GpuError {
+    /// There is no device that may be used. What is known of it, or nothing.
+    #[error("no graphics device was found{}", after_colon(.0))]
+    NoAdapter(String),
+    /// The device is below what is needed.
+    #[error("{device} cannot be used: {what}")]
+    Unfit {
+        /// The device's name.
+        device: String,
+        /// The limit, what the device has and what is needed.
+        what: String,
+    },
+    /// A buffer would be larger than the device binds.
+    #[error(
+        "{what} take {} MB, but the graphics device binds no more than {} MB at once",
+        .needed.div_ceil(1_000_000),
+        .limit / 1_000_000
+    )]
+    TooLarge {
+        /// What lies in the buffer, in the plural.
+        what: &'static str,
+        /// Bytes needed.
+        needed: u64,
+        /// Bytes that the device binds.
+        limit: u64,
+    },
+    /// The device is gone, for example because its driver was restarted.
+    #[error("the graphics device was lost{}", after_colon(.0))]
+    Lost(String),
+    /// The device has no memory left.
+    #[error("the graphics device is out of memory{}", after_colon(.0))]
+    OutOfMemory(String),
+    /// Anything else that the device reports.
+    #[error("the graphics device failed{}", after_colon(.0))]
+    Other(String),
+}
+
+fn after_colon(detail: &str) -> String {
+    if detail.is_empty() {
+        String::new()
+    } else {
+        format!(": {detail}")
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn messages_say_what_is_known() {
+        let none = |detail: &str| GpuError::NoAdapter(detail.into()).to_string();
+        assert_eq!(none(""), "no graphics device was found");
+        assert_eq!(
+            none("only one in software"),
+            "no graphics device was found: only one in software"
+        );
+        let too_large = GpuError::TooLarge {
+            what: "the gaussians",
+            needed: 134_217_729,
+            limit: 134_217_728,
+        };
+        assert_eq!(
+            too_large.to_string(),
+            "the gaussians take 135 MB, but the graphics device binds no more than 134 MB at once"
+        );
+    }
+}
