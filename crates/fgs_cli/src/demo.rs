@@ -6,6 +6,7 @@ use clap::Args;
 use fgs_data::{Dataset, OpenOptions};
 use fgs_synth::{FRAMES_PER_LOOP, SensorModel, Sequence, kinect_camera};
 
+use crate::backend::Backend;
 use crate::console::Console;
 use crate::failure::EXIT_DONE;
 use crate::mode::Mode;
@@ -29,6 +30,9 @@ pub struct DemoArgs {
     /// Folder for recording and results [default: the first free of runs/demo, runs/demo-2, ...]
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
+    /// Where the map is optimised
+    #[arg(long, value_enum, default_value_t)]
+    backend: Backend,
     #[command(flatten)]
     threads: Threads,
 }
@@ -36,9 +40,11 @@ pub struct DemoArgs {
 /// Executes `fgs demo`.
 ///
 /// # Errors
-/// If something cannot be written.
+/// If something cannot be written or the device cannot be used.
 pub fn run(args: &DemoArgs) -> anyhow::Result<u8> {
     let console = Console::People;
+    let mut settings = Settings::default();
+    let model = args.backend.model(&settings.mapping)?;
     let folder = match &args.out {
         Some(path) => RunFolder::create(path)?,
         None => RunFolder::create_new(Path::new("runs"), "demo")?,
@@ -56,11 +62,8 @@ pub fn run(args: &DemoArgs) -> anyhow::Result<u8> {
     let dataset = Dataset::open(&recording, &OpenOptions::default())?;
     let frames = 0..dataset.len();
     let mode = Mode::Lockstep;
-    let mut settings = Settings {
-        camera: Some(dataset.camera_file().clone()),
-        ..Settings::default()
-    };
-    settings.record_run(&recording, mode, &frames);
+    settings.camera = Some(dataset.camera_file().clone());
+    settings.record_run(&recording, mode, model.backend(), &frames);
     let plan = Plan {
         dataset_path: recording,
         dataset,
@@ -70,7 +73,7 @@ pub fn run(args: &DemoArgs) -> anyhow::Result<u8> {
         folder,
         evaluate: true,
     };
-    let exit_code = plan.execute(console, &stop)?;
+    let exit_code = plan.execute(model, console, &stop)?;
     let out = plan.folder.path().display();
     console.say(format!("\nLook at {out}/pictures (camera on the left, map on the right), or try\n  fgs render {out} --fly-through"));
     Ok(exit_code)

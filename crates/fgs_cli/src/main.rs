@@ -1,6 +1,7 @@
 //! `fgs`: RGB-D SLAM with gaussian splatting, guided by a Fourier segmentation. Glue only: every
 //! subcommand is a file of its own.
 
+mod backend;
 mod bench;
 mod console;
 mod demo;

@@ -24,6 +24,8 @@ pub struct Metrics {
     pub frames_damaged: usize,
     /// Whether Ctrl-C ended the run.
     pub interrupted: bool,
+    /// Why the map could not be continued, if that ended the run.
+    pub failure: Option<String>,
     /// Absolute trajectory error after rigid alignment, root mean square.
     pub ate_rmse_m: Option<f64>,
     /// The same, mean (what the paper calls RMSE).
@@ -68,6 +70,8 @@ pub struct Metrics {
     pub commit: String,
     /// How tracker and mapper took turns.
     pub mode: Mode,
+    /// Where the map was optimised: "CPU" or the graphics device's name.
+    pub backend: String,
     /// Threads that computed.
     pub threads: usize,
     /// The recording as typed.

@@ -6,10 +6,11 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use anyhow::{Context, bail};
 use fgs_data::{Dataset, Trajectory};
-use fgs_slam::{Execution, SlamOutput, model_settings};
-use fgs_splat::CpuModel;
+use fgs_slam::{Execution, SlamOutput};
+use fgs_splat::GaussianModel;
 use serde_json::json;
 
+use crate::backend::Model;
 use crate::console::Console;
 use crate::failure::{EXIT_DONE, EXIT_INTERRUPTED};
 use crate::frame_log::{FrameRow, FrameStatus};
@@ -40,14 +41,27 @@ pub struct Plan {
 }
 
 impl Plan {
-    /// Runs, saves, evaluates if asked to, and reports; returns the exit code. When `stop` is set
-    /// the run ends early and is saved like any other.
+    /// Runs, saves, evaluates if asked to, and reports; returns the exit code. When `stop` is set or
+    /// the mapper fails, the run ends early and is saved like any other.
     ///
     /// # Errors
     /// If no frame can be read, the mapper fails or something cannot be saved.
-    pub fn execute(&self, console: Console, stop: &AtomicBool) -> anyhow::Result<u8> {
-        self.announce(console);
-        let mut result = self.track_and_map(console, stop)?;
+    pub fn execute(&self, model: Model, console: Console, stop: &AtomicBool) -> anyhow::Result<u8> {
+        self.announce(&model, console);
+        let name = model.name().to_owned();
+        let result = match model {
+            Model::Cpu { model, .. } => self.track_and_map(model, name, console, stop),
+            Model::Gpu { model, .. } => self.track_and_map(model, name, console, stop),
+        };
+        self.conclude(result?, console, stop)
+    }
+
+    fn conclude(
+        &self,
+        mut result: RunResult,
+        console: Console,
+        stop: &AtomicBool,
+    ) -> anyhow::Result<u8> {
         evaluation::score_trajectory(&mut result, &self.dataset)?;
         result.save(&self.folder, &self.settings)?;
         if self.evaluate && evaluation::score_images(&mut result, &self.dataset, console, stop)? {
@@ -57,6 +71,13 @@ impl Plan {
         console.event("metrics", &result.metrics);
         console.say(result.metrics.table());
         console.say(format!("  results    {}", self.folder.path().display()));
+        if let Some(failure) = &result.metrics.failure {
+            let frame = result.rows.last().map_or(0, |row| row.index);
+            let folder = self.folder.path().display();
+            bail!(
+                "the run ended early, at frame {frame}: {failure}; what there was is in {folder}"
+            );
+        }
         let interrupted = stop.load(Ordering::Relaxed);
         Ok(if interrupted {
             EXIT_INTERRUPTED
@@ -65,7 +86,7 @@ impl Plan {
         })
     }
 
-    fn announce(&self, console: Console) {
+    fn announce(&self, model: &Model, console: Console) {
         let camera = self.dataset.camera();
         let format = self.dataset.format().to_string();
         let (dataset, out) = (self.dataset_path.display(), self.folder.path());
@@ -77,6 +98,7 @@ impl Plan {
                 "frames": self.frames,
                 "width": camera.width,
                 "height": camera.height,
+                "backend": model.name(),
                 "out": out,
             }),
         );
@@ -88,9 +110,16 @@ impl Plan {
             camera.width,
             camera.height
         ));
+        console.say(format!("computing on {model}"));
     }
 
-    fn track_and_map(&self, console: Console, stop: &AtomicBool) -> anyhow::Result<RunResult> {
+    fn track_and_map(
+        &self,
+        model: impl GaussianModel + Send,
+        backend: String,
+        console: Console,
+        stop: &AtomicBool,
+    ) -> anyhow::Result<RunResult> {
         let config = self.settings.slam();
         let mut observer = RunObserver::new(&self.frames, console);
         let output = fgs_slam::run(
@@ -98,7 +127,7 @@ impl Plan {
             self.dataset.camera(),
             &config,
             Execution::from(self.mode),
-            CpuModel::new(model_settings(&config.mapping)),
+            model,
             &mut observer,
             stop,
         )?;
@@ -112,14 +141,20 @@ impl Plan {
         )
         .context("the estimated trajectory is damaged")?;
         Ok(RunResult {
-            metrics: self.metrics(&rows, &output, stop),
+            metrics: self.metrics(&rows, &output, backend, stop),
             rows,
             trajectory,
             gaussians: output.gaussians,
         })
     }
 
-    fn metrics(&self, rows: &[FrameRow], output: &SlamOutput, stop: &AtomicBool) -> Metrics {
+    fn metrics(
+        &self,
+        rows: &[FrameRow],
+        output: &SlamOutput,
+        backend: String,
+        stop: &AtomicBool,
+    ) -> Metrics {
         let count = |status| rows.iter().filter(|row| row.status == status).count();
         let read = output.frames.len();
         let per_frame = |total: f64| (read > 0).then(|| total / read as f64);
@@ -130,6 +165,7 @@ impl Plan {
             frames_lost: count(FrameStatus::Lost),
             frames_damaged: count(FrameStatus::Damaged),
             interrupted: stop.load(Ordering::Relaxed),
+            failure: output.failure.as_ref().map(ToString::to_string),
             ate_rmse_m: None,
             ate_mean_m: None,
             rpe_mean_m: None,
@@ -152,8 +188,59 @@ impl Plan {
             seed: self.settings.slam().seed,
             commit: COMMIT.into(),
             mode: self.mode,
+            backend,
             threads: rayon::current_num_threads(),
             dataset: self.dataset_path.clone(),
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use fgs_data::OpenOptions;
+    use fgs_splat::CpuModel;
+    use fgs_synth::{SensorModel, Sequence, kinect_camera};
+
+    use super::*;
+
+    #[test]
+    fn a_run_that_failed_on_its_way_is_saved_and_says_so() {
+        let folder = tempfile::tempdir().unwrap();
+        let recording = folder.path().join("room");
+        let camera = kinect_camera(160, 120).unwrap();
+        let sequence = Sequence::new(1, 3, camera, SensorModel::exact());
+        fgs_synth::write_tum(&sequence, &recording, |_| {
+            std::ops::ControlFlow::Continue(())
+        })
+        .unwrap();
+        let dataset = Dataset::open(&recording, &OpenOptions::default()).unwrap();
+        let plan = Plan {
+            frames: 0..dataset.len(),
+            dataset_path: recording,
+            dataset,
+            settings: Settings::default(),
+            mode: Mode::Lockstep,
+            folder: RunFolder::create(&folder.path().join("out")).unwrap(),
+            evaluate: true,
+        };
+        let (console, stop) = (Console::Machines, AtomicBool::new(false));
+        let model = CpuModel::default();
+        let mut result = plan
+            .track_and_map(model, "a device".into(), console, &stop)
+            .unwrap();
+        assert_eq!(result.metrics.failure, None);
+        result.metrics.failure = Some("unplugged".into());
+        let error = plan.conclude(result, console, &stop).unwrap_err();
+        assert_eq!(crate::failure::exit_code(&error), 1);
+        let message = error.to_string();
+        assert!(
+            message.starts_with("the run ended early, at frame 2: unplugged; what there was is in"),
+            "{message}"
+        );
+        let saved = RunResult::read(&plan.folder).unwrap();
+        assert_eq!(saved.metrics.failure.as_deref(), Some("unplugged"));
+        assert_eq!(saved.metrics.backend, "a device");
+        assert!(saved.rows.len() == 3 && saved.gaussians.len() > 100);
+        assert!(saved.metrics.psnr_db.is_some());
     }
 }

@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 
 use clap::Args;
 
+use crate::backend::{Backend, Model};
 use crate::console::Console;
 use crate::frame_range::FrameRange;
 use crate::interrupt;
@@ -49,7 +50,7 @@ out), frames.csv, map.ply, config.effective.toml, pictures/. Results already in 
 when the run has ended.
 
 Exit code: 0 done, 1 failed, 2 to be corrected by you, 130 ended by Ctrl-C (what there was is saved;
-a second Ctrl-C gives that up).")]
+a second Ctrl-C gives that up). Where a graphics device fails, what there was is saved too.")]
 pub struct RunArgs {
     /// Folder of the recording
     dataset: PathBuf,
@@ -68,6 +69,9 @@ pub struct RunArgs {
     /// How tracker and mapper take turns [default: lockstep]
     #[arg(long, value_enum)]
     mode: Option<Mode>,
+    /// Where the map is optimised [default: auto]
+    #[arg(long, value_enum)]
+    backend: Option<Backend>,
     /// Only these frames: from A up to but without B, counted from 0
     #[arg(long, value_name = "A..B")]
     frames: Option<FrameRange>,
@@ -86,25 +90,27 @@ pub struct RunArgs {
 /// # Errors
 /// If the run cannot be started, fails, or cannot be saved.
 pub fn run(args: &RunArgs) -> anyhow::Result<u8> {
-    let plan = resolve(args)?;
+    let (plan, model) = resolve(args)?;
     args.threads.apply()?;
     let stop = interrupt::stop_flag()?;
-    plan.execute(Console::new(args.json), &stop)
+    plan.execute(model, Console::new(args.json), &stop)
 }
 
-fn resolve(args: &RunArgs) -> anyhow::Result<Plan> {
+fn resolve(args: &RunArgs) -> anyhow::Result<(Plan, Model)> {
     let mut settings = Settings::load(args.config.as_deref(), &args.assignments)?;
     let dataset = recording::open(&args.dataset, args.camera.as_deref(), &mut settings)?;
     let frames = args.frames.or(settings.run.frames).unwrap_or_default();
     let frames = frames.resolve(dataset.len())?;
     recording::check_size(&dataset, frames.start)?;
     let mode = args.mode.or(settings.run.mode).unwrap_or(Mode::Lockstep);
-    settings.record_run(&args.dataset, mode, &frames);
+    let backend = args.backend.or(settings.run.backend).unwrap_or_default();
+    let model = backend.model(&settings.mapping)?;
+    settings.record_run(&args.dataset, mode, model.backend(), &frames);
     let folder = match &args.out {
         Some(path) => RunFolder::create(path)?,
         None => RunFolder::create_new(Path::new(RUNS), &recording::name(&args.dataset))?,
     };
-    Ok(Plan {
+    let plan = Plan {
         dataset_path: args.dataset.clone(),
         dataset,
         frames,
@@ -112,5 +118,6 @@ fn resolve(args: &RunArgs) -> anyhow::Result<Plan> {
         mode,
         folder,
         evaluate: args.eval,
-    })
+    };
+    Ok((plan, model))
 }

@@ -17,6 +17,7 @@ use serde::{Deserialize, Serialize};
 use toml::Table;
 use toml::de::DeTable;
 
+use crate::backend::Backend;
 use crate::failure::UsageError;
 use crate::frame_range::FrameRange;
 use crate::mode::Mode;
@@ -46,8 +47,8 @@ pub struct Settings {
     pub run: RunSettings,
 }
 
-/// The `[run]` table. `mode`, `frames` and `camera_overrides` hold unless the command line says
-/// otherwise; the rest is for people and for `fgs eval`.
+/// The `[run]` table. `mode`, `backend`, `frames` and `camera_overrides` hold unless the command line
+/// says otherwise; the rest is for people and for `fgs eval`.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct RunSettings {
@@ -60,6 +61,9 @@ pub struct RunSettings {
     /// How tracker and mapper took turns.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub mode: Option<Mode>,
+    /// Where the map was optimised.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub backend: Option<Backend>,
     /// The frames of the recording.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub frames: Option<FrameRange>,
@@ -149,11 +153,18 @@ impl Settings {
     }
 
     /// Notes how a run is started, so that these settings rerun it.
-    pub fn record_run(&mut self, dataset: &Path, mode: Mode, frames: &Range<usize>) {
+    pub fn record_run(
+        &mut self,
+        dataset: &Path,
+        mode: Mode,
+        backend: Backend,
+        frames: &Range<usize>,
+    ) {
         self.run = RunSettings {
             command: Some(std::env::args().collect::<Vec<_>>().join(" ")),
             dataset: Some(dataset.into()),
             mode: Some(mode),
+            backend: Some(backend),
             frames: Some(frames.clone().into()),
             camera_overrides: self.run.camera_overrides,
             commit: Some(COMMIT.into()),
@@ -289,6 +300,7 @@ mod tests {
             ("seed = \n", ":1: "),
             ("[camera]\nwidth = 640", ":1: missing field"),
             ("[run]\nmode = 'fast'", ":2: unknown variant `fast`"),
+            ("[run]\nbackend = 'abacus'", ":2: unknown variant `abacus`"),
             ("[run]\nframes = '7'", ":2: '7' is not a range"),
         ] {
             let message = read(text).unwrap_err();
@@ -352,6 +364,7 @@ mod tests {
             command: Some("fgs run \"a b\"".into()),
             dataset: Some("a b".into()),
             mode: Some(Mode::Lockstep),
+            backend: Some(Backend::Cpu),
             frames: Some((2..8).into()),
             camera_overrides: None,
             commit: Some("unknown".into()),

@@ -10,7 +10,7 @@ use std::path::Path;
 #[cfg(unix)]
 use std::process::Command;
 
-use common::{folder_with_recording, frame_files, names, run, stderr, stdout};
+use common::{fgs, folder_with_recording, frame_files, names, run, stderr, stdout};
 
 /// Expects a refusal in one line that holds all of `parts`.
 fn refuse(folder: &Path, arguments: &[&str], exit_code: i32, parts: &[&str]) {
@@ -77,6 +77,8 @@ fn bad_settings() {
     for set in [
         "mapping.prune_evry=5",
         "mapping.prune_every=0",
+        "mapping.max_views_on_gpu=0",
+        "run.backend=abacus",
         "seed=x",
         "seed",
     ] {
@@ -103,6 +105,8 @@ fn command_lines_that_make_no_sense() {
         ["run", "room", "--frames", "5"].as_slice(),
         &["run", "room", "--threads", "0"],
         &["run", "room", "--mode", "fast"],
+        &["run", "room", "--backend", "abacus"],
+        &["demo", "--backend", "abacus"],
         &["run"],
         &["walk"],
         &["synth", "room", "--size", "640"],
@@ -121,6 +125,24 @@ fn command_lines_that_make_no_sense() {
         &["--size", "width = 0"],
     );
     refuse(folder.path(), &["eval", "."], 2, &["config.effective.toml"]);
+}
+
+/// A machine may have a graphics device; where it has none, asking for it is refused.
+#[test]
+fn a_graphics_device_that_is_not_there() {
+    let folder = folder_with_recording();
+    let path = folder.path();
+    let arguments = ["run", "room", "--frames", "..1", "--backend", "gpu"];
+    let output = fgs(path, &arguments).output().unwrap();
+    if !output.status.success() {
+        refuse(path, &arguments, 2, &["--backend cpu"]);
+        refuse(
+            path,
+            &["run", "room", "--set", "run.backend=gpu"],
+            2,
+            &["--backend cpu"],
+        );
+    }
 }
 
 #[test]

@@ -100,6 +100,8 @@ fn runs_repeat_and_can_be_scored_and_rendered() {
             "room",
             "--mode",
             "lockstep",
+            "--backend",
+            "cpu",
             "--threads",
             "1",
             "--eval",
@@ -108,7 +110,7 @@ fn runs_repeat_and_can_be_scored_and_rendered() {
     );
     run(
         path,
-        &["run", "room", "--mode", "lockstep", "--threads", "2"],
+        &["run", "room", "--backend", "cpu", "--threads", "2"],
         0,
     );
     let (first, second) = (path.join("runs/room"), path.join("runs/room-2"));
@@ -127,6 +129,8 @@ fn runs_repeat_and_can_be_scored_and_rendered() {
         assert_eq!(metrics["lpips"], Value::Null);
         assert_eq!(metrics["dataset"], "room");
         assert_eq!(metrics["mode"], "lockstep");
+        assert_eq!(metrics["backend"], "CPU");
+        assert_eq!(metrics["failure"], Value::Null);
         assert!(metrics["commit"].is_string());
         let bytes = fs::metadata(run.join("map.ply")).unwrap().len();
         assert_eq!(metrics["map_bytes"], bytes);
@@ -250,11 +254,22 @@ fn settings_and_frames_of_the_command_line_hold() {
         "mapping.iterations_per_frame=0.5",
     ];
     let arguments = [
-        "run", "room", "--config", "c.toml", "--out", "out", "--frames", "2..8",
+        "run",
+        "room",
+        "--config",
+        "c.toml",
+        "--out",
+        "out",
+        "--frames",
+        "2..8",
+        "--backend",
+        "cpu",
     ];
-    run(path, &[arguments.as_slice(), &sets].concat(), 0);
+    let output = run(path, &[arguments.as_slice(), &sets].concat(), 0);
+    assert!(stdout(&output).contains("computing on the CPU\n"));
     let metrics = metrics(&path.join("out"));
     assert_eq!(metrics["seed"], 9);
+    assert_eq!(metrics["backend"], "CPU");
     assert_eq!(metrics["frames"], 6);
     assert_eq!(metrics["iterations"], 3);
     assert_eq!(rows(&path.join("out"))[0]["index"], "2");
@@ -264,6 +279,8 @@ fn settings_and_frames_of_the_command_line_hold() {
         "seed = 9",
         "prune_every = 3",
         "iterations_per_frame = 0.5",
+        "max_views_on_gpu = 100",
+        "backend = \"cpu\"",
         "frames = \"2..8\"",
     ] {
         assert!(config.contains(line), "{line} is not in\n{config}");
@@ -310,6 +327,8 @@ fn json_lines_for_machines() {
         kinds,
         ["start", "frame", "frame", "frame", "frame", "metrics"]
     );
+    assert!(events[0]["backend"].is_string());
+    assert_eq!(events[0]["backend"], events[5]["backend"]);
     assert_eq!(events[2]["index"], 1);
     assert_eq!(events[5]["frames"], 4);
     assert_eq!(stderr(&output), "");
