@@ -19,17 +19,17 @@ use std::sync::LazyLock;
 use thiserror::Error;
 
 /// Decay of the first moment (Kingma and Ba 2015).
-const BETA_1: f64 = 0.9;
+pub(crate) const BETA_1: f64 = 0.9;
 /// Decay of the second moment (Kingma and Ba 2015).
-const BETA_2: f64 = 0.999;
+pub(crate) const BETA_2: f64 = 0.999;
 /// Learning rates fall as `1 / sqrt(1 + t / DECAY_STEPS)`, slowly enough for Adam to arrive
 /// anywhere (Kingma and Ba 2015, Theorem 4.1), those of the centres as the square of that: a centre
 /// that keeps moving undoes what the other parameters have learnt. A gaussian is fitted after a few
 /// dozen steps; what moves it from then on is mostly the difference between views.
-const DECAY_STEPS: f64 = 50.0;
+pub(crate) const DECAY_STEPS: f64 = 50.0;
 /// Far below any gradient: the loss is a mean over a million values, so that gradients near the
 /// customary 1e-8 are common and would be damped by it.
-const EPSILON: f32 = 1e-15;
+pub(crate) const EPSILON: f32 = 1e-15;
 /// Steps whose corrections are worked out once: more than most gaussians ever make.
 const TABLED_STEPS: u32 = 1 << 14;
 /// Gaussians that one task moves, whatever the number of threads.
@@ -238,20 +238,25 @@ struct Active<'a> {
 
 /// What a gaussian's number of steps makes of its moments and learning rates.
 #[derive(Clone, Copy, Debug, PartialEq)]
-struct Corrections {
+pub(crate) struct Corrections {
     /// What is left of the learning rates (of the centres' its square).
     decay: f32,
     /// `1 / (1 - beta_1^t)`, the bias correction of the first moment.
-    first: f32,
+    pub(crate) first: f32,
     /// `1 / sqrt(1 - beta_2^t)`, which the second moment's root is multiplied by.
-    second_root: f32,
+    pub(crate) second_root: f32,
 }
 
 impl Corrections {
-    fn after(steps_before: u32) -> Self {
+    /// Those of the first steps.
+    pub(crate) fn table() -> &'static [Self] {
         static TABLE: LazyLock<Vec<Corrections>> =
             LazyLock::new(|| (0..TABLED_STEPS).map(Corrections::new).collect());
-        match TABLE.get(steps_before as usize) {
+        &TABLE
+    }
+
+    fn after(steps_before: u32) -> Self {
+        match Self::table().get(steps_before as usize) {
             Some(tabled) => *tabled,
             None => Self::new(steps_before),
         }

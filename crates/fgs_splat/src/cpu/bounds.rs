@@ -75,7 +75,7 @@ pub(super) struct Support<T> {
 }
 
 /// Pixels that the ellipse is larger than it should be, for what rounding does.
-const SLACK_PX: f64 = 1e-2;
+pub(crate) const SLACK_PX: f64 = 1e-2;
 
 /// Tiles of a row that are worked on together: a bit for each of their columns of blocks, one
 /// after the last included, fits into 32.

@@ -14,10 +14,10 @@ const SLACK_PX: f64 = 1.0;
 /// The part of space that a view shows: along each axis, in camera axes,
 /// `|x - middle z| <= half z + reach scale`, `scale` being the gaussian's longest axis.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Frustum<T> {
-    middle: [T; 2],
-    half: [T; 2],
-    reach: [T; 2],
+pub(crate) struct Frustum<T> {
+    pub middle: [T; 2],
+    pub half: [T; 2],
+    pub reach: [T; 2],
 }
 
 impl<T: Real> Frustum<T> {

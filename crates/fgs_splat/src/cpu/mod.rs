@@ -23,11 +23,12 @@ mod tiles;
 use fgs_geom::View;
 use rayon::prelude::*;
 
+pub(crate) use bounds::SLACK_PX;
 use bounds::{TILE_HEIGHT, TileGrid};
 use chunks::{CHUNK, Chunk, ProjectChunk};
-use cull::Frustum;
+pub(crate) use cull::Frustum;
 use forward::{BlendTile, TileState};
-use project::ScreenCamera;
+pub(crate) use project::{ScreenCamera, WHITEN_SCALE};
 use project_vjp::PixelSums;
 pub use real::Real;
 pub use render_pass::RenderPass;
@@ -141,4 +142,4 @@ impl<T: Real> Rasterizer<T> {
 }
 
 #[cfg(test)]
-mod tests;
+pub(crate) mod tests;

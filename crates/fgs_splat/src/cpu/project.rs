@@ -16,11 +16,11 @@ use crate::rendering::{
 };
 
 /// sqrt(log2(e) / 2): with the whitening scaled by it, `exp(-|y|^2 / 2) = 2^-(p^2 + q^2)`.
-pub(super) const WHITEN_SCALE: f64 = 0.849_321_800_288_019_1;
+pub(crate) const WHITEN_SCALE: f64 = 0.849_321_800_288_019_1;
 
 /// A view in the rasteriser's number type.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct ScreenCamera<T> {
+pub(crate) struct ScreenCamera<T> {
     pub width: usize,
     pub height: usize,
     /// Focal lengths x, y and principal point x, y, pixels.

@@ -5,7 +5,7 @@
 use thiserror::Error;
 
 /// Why a graphics device cannot compute.
-#[derive(Debug, Error, PartialEq)]
+#[derive(Clone, Debug, Error, PartialEq)]
 pub enum GpuError {
     /// There is no device that may be used. What is known of it, or nothing.
     #[error("no graphics device was found{}", after_colon(.0))]

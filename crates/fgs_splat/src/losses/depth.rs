@@ -8,10 +8,10 @@ use fgs_geom::{Image, has_depth};
 use rayon::prelude::*;
 
 /// One unit of depth error, which the weight of the depth loss refers to (the authors' code).
-const DEPTH_UNIT_M: f32 = 10.0;
+pub(crate) const DEPTH_UNIT_M: f32 = 10.0;
 /// Depth is divided by at least this alpha: what covers less of a pixel tells no depth, and the
 /// quotient's derivatives grow without bound.
-const MIN_ALPHA: f32 = 0.05;
+pub(crate) const MIN_ALPHA: f32 = 0.05;
 /// Pixels that are summed together, whatever the number of threads.
 const CHUNK: usize = 16 * 1024;
 

@@ -17,7 +17,11 @@ mod ssim;
 #[cfg(test)]
 mod tests;
 
+pub(crate) use blur::{RADIUS, TAPS, window};
+pub(crate) use depth::{DEPTH_UNIT_M, MIN_ALPHA};
 pub use regularizer::scale_regularizer;
+pub(crate) use regularizer::{FLAT_SCALE_M, MAX_LOG_SCALE};
+pub(crate) use ssim::{C1, C2};
 
 use crate::{Cotangents, Rendered};
 use fgs_geom::{Image, has_depth};
@@ -85,6 +89,11 @@ impl Target {
         &self.color
     }
 
+    /// How many pixels have measured depth.
+    pub(crate) fn measured(&self) -> usize {
+        self.measured
+    }
+
     /// Measured depth in metres, 0 or non-finite where there is none.
     pub fn depth_m(&self) -> &Image<f32> {
         &self.depth_m
@@ -139,7 +148,7 @@ pub enum LossError {
 
 /// Rendered values beyond this cannot come from a sane map (colours are about 0..1, depths below
 /// 1e3 m), and below it no square or product in the loss overflows.
-const MAX_RENDERED: f32 = 1e4;
+pub(crate) const MAX_RENDERED: f32 = 1e4;
 
 /// Compares a render with its target, Eq. (16) without the regulariser, and writes the derivatives
 /// of its total to `cotangents`, whatever they were: those by alpha are zero unless depth is

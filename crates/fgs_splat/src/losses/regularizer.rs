@@ -15,9 +15,9 @@ use crate::Gaussians;
 use rayon::prelude::*;
 
 /// What the flat axis tends to, metres: the third scale that a gaussian is seeded with.
-const FLAT_SCALE_M: f32 = 5e-6;
+pub(crate) const FLAT_SCALE_M: f32 = 5e-6;
 /// Log-scales count as at most this (5e8 m), so that no scale overflows.
-const MAX_LOG_SCALE: f32 = 20.0;
+pub(crate) const MAX_LOG_SCALE: f32 = 20.0;
 /// Gaussians that are summed together, whatever the number of threads.
 const CHUNK: usize = 4096;
 

@@ -1,0 +1,271 @@
+//! A graphics device: which one is taken, whether it suffices, and what it reports when it fails.
+
+use std::sync::{Arc, Mutex, PoisonError};
+
+use bytemuck::Pod;
+use wgpu::util::DeviceExt;
+
+use super::error::GpuError;
+use super::pipeline_cache::PipelineCacheFile;
+use super::stage::{Stage, StageOptions};
+
+/// Storage buffers that the stage with most of them binds.
+const STORAGE_BUFFERS: u32 = 8;
+/// Bytes of memory that a workgroup shares.
+const WORKGROUP_BYTES: u32 = 16 << 10;
+/// Threads of a workgroup.
+const WORKGROUP_THREADS: u32 = super::layout::GROUP;
+/// Bytes of a buffer that a stage can see: half a million gaussians.
+const BINDING_BYTES: u64 = 32 << 20;
+
+/// A device that computes, with everything compiled for it. Clones share it.
+#[derive(Clone)]
+pub struct GpuDevice {
+    shared: Arc<Shared>,
+}
+
+struct Shared {
+    name: String,
+    device: wgpu::Device,
+    queue: wgpu::Queue,
+    stages: Vec<Stage>,
+    /// The first thing that went wrong.
+    failure: Arc<Mutex<Option<GpuError>>>,
+}
+
+impl std::fmt::Debug for GpuDevice {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_tuple("GpuDevice").field(&self.shared.name).finish()
+    }
+}
+
+impl GpuDevice {
+    /// The fastest kind of device there is, by Vulkan, Metal or DirectX 12; one in software, which
+    /// is slower than the CPU's own path, only if that is accepted.
+    ///
+    /// # Errors
+    /// If there is none, or it is below what is needed.
+    pub fn find(accept_software: bool) -> Result<Self, GpuError> {
+        Self::open(accept_software, |features| StageOptions {
+            by_subgroups: features.contains(wgpu::Features::SUBGROUP),
+            checked: false,
+        })
+    }
+
+    /// As [`GpuDevice::find`], with a say in how its stages are made.
+    pub(super) fn open(
+        accept_software: bool,
+        options: impl Fn(wgpu::Features) -> StageOptions,
+    ) -> Result<Self, GpuError> {
+        let instance = wgpu::Instance::new(wgpu::InstanceDescriptor {
+            backends: wgpu::Backends::VULKAN | wgpu::Backends::METAL | wgpu::Backends::DX12,
+            // Validation of dispatches would be a dispatch of its own before each.
+            flags: if cfg!(test) {
+                wgpu::InstanceFlags::debugging()
+            } else {
+                wgpu::InstanceFlags::empty()
+            },
+            ..wgpu::InstanceDescriptor::new_without_display_handle()
+        });
+        let mut adapters = pollster::block_on(instance.enumerate_adapters(wgpu::Backends::all()));
+        let in_software =
+            |adapter: &wgpu::Adapter| adapter.get_info().device_type == wgpu::DeviceType::Cpu;
+        let any = !adapters.is_empty();
+        adapters.retain(|adapter| accept_software || !in_software(adapter));
+        // Stable: among equals the one that the system names first.
+        adapters.sort_by_key(|adapter| match adapter.get_info().device_type {
+            wgpu::DeviceType::DiscreteGpu => 0,
+            wgpu::DeviceType::IntegratedGpu => 1,
+            wgpu::DeviceType::VirtualGpu => 2,
+            wgpu::DeviceType::Other => 3,
+            wgpu::DeviceType::Cpu => 4,
+        });
+        let Some(adapter) = adapters.first() else {
+            let detail = if any { "only one in software" } else { "" };
+            return Err(GpuError::NoAdapter(detail.into()));
+        };
+        let info = adapter.get_info();
+        let name = format!("{} ({})", info.name, info.backend);
+        check_limits(&name, &adapter.limits())?;
+
+        let wanted = wgpu::Features::SUBGROUP
+            | wgpu::Features::TIMESTAMP_QUERY
+            | wgpu::Features::PIPELINE_CACHE;
+        let features = adapter.features() & wanted;
+        let request = adapter.request_device(&wgpu::DeviceDescriptor {
+            label: Some("fgs"),
+            required_features: features,
+            required_limits: adapter.limits(),
+            ..Default::default()
+        });
+        let (device, queue) =
+            pollster::block_on(request).map_err(|error| GpuError::Other(error.to_string()))?;
+
+        let failure = Arc::new(Mutex::new(None));
+        let first = failure.clone();
+        device.on_uncaptured_error(Arc::new(move |error| note(&first, translate(&error))));
+        let first = failure.clone();
+        device.set_device_lost_callback(move |_, message| note(&first, GpuError::Lost(message)));
+
+        let cache = PipelineCacheFile::of(&info, features);
+        let pipelines = cache.as_ref().map(|cache| cache.load(&device));
+        let stages = Stage::make_all(&device, options(features), pipelines.as_ref())
+            .map_err(GpuError::Other)?;
+        if let (Some(cache), Some(pipelines)) = (&cache, &pipelines) {
+            cache.save(pipelines);
+        }
+        let opened = Self {
+            shared: Arc::new(Shared {
+                name,
+                device,
+                queue,
+                stages,
+                failure,
+            }),
+        };
+        opened.check()?;
+        Ok(opened)
+    }
+
+    /// Its name and how it is reached, such as "NVIDIA H200 (vulkan)".
+    pub fn name(&self) -> &str {
+        &self.shared.name
+    }
+
+    pub(super) fn raw(&self) -> &wgpu::Device {
+        &self.shared.device
+    }
+
+    pub(super) fn queue(&self) -> &wgpu::Queue {
+        &self.shared.queue
+    }
+
+    /// The stage of that entry point.
+    pub(super) fn stage(&self, name: &str) -> Result<&Stage, GpuError> {
+        let found = self.shared.stages.iter().find(|stage| stage.name == name);
+        found.ok_or_else(|| GpuError::Other(format!("there is no stage {name}")))
+    }
+
+    /// Whether anything has failed so far.
+    pub(super) fn check(&self) -> Result<(), GpuError> {
+        let failure = self.shared.failure.lock();
+        match &*failure.unwrap_or_else(PoisonError::into_inner) {
+            Some(error) => Err(error.clone()),
+            None => Ok(()),
+        }
+    }
+
+    /// A buffer of zeros. `what` names its contents.
+    pub(super) fn buffer(
+        &self,
+        what: &'static str,
+        bytes: u64,
+        usage: wgpu::BufferUsages,
+    ) -> Result<wgpu::Buffer, GpuError> {
+        let limits = self.raw().limits();
+        let limit = limits
+            .max_storage_buffer_binding_size
+            .min(limits.max_buffer_size);
+        if bytes > limit {
+            return Err(GpuError::TooLarge {
+                what,
+                needed: bytes,
+                limit,
+            });
+        }
+        let usage = usage
+            | match usage {
+                // What the host can read cannot be copied elsewhere.
+                wgpu::BufferUsages::MAP_READ => wgpu::BufferUsages::COPY_DST,
+                _ => wgpu::BufferUsages::COPY_SRC | wgpu::BufferUsages::COPY_DST,
+            };
+        let scope = self.raw().push_error_scope(wgpu::ErrorFilter::OutOfMemory);
+        let buffer = self.raw().create_buffer(&wgpu::BufferDescriptor {
+            label: Some(what),
+            size: bytes.next_multiple_of(4).max(256),
+            usage,
+            mapped_at_creation: false,
+        });
+        match pollster::block_on(scope.pop()) {
+            Some(error) => Err(translate(&error)),
+            None => Ok(buffer),
+        }
+    }
+
+    /// A storage buffer that holds the entries.
+    pub(super) fn buffer_of<T: Pod>(&self, what: &'static str, entries: &[T]) -> wgpu::Buffer {
+        self.raw()
+            .create_buffer_init(&wgpu::util::BufferInitDescriptor {
+                label: Some(what),
+                contents: bytemuck::cast_slice(entries),
+                usage: wgpu::BufferUsages::STORAGE | wgpu::BufferUsages::UNIFORM,
+            })
+    }
+}
+
+/// Keeps the first failure: what follows is mostly its consequence.
+fn note(first: &Mutex<Option<GpuError>>, error: GpuError) {
+    let mut first = first.lock().unwrap_or_else(PoisonError::into_inner);
+    first.get_or_insert(error);
+}
+
+fn translate(error: &wgpu::Error) -> GpuError {
+    match error {
+        wgpu::Error::OutOfMemory { .. } => GpuError::OutOfMemory(String::new()),
+        other => GpuError::Other(other.to_string()),
+    }
+}
+
+fn check_limits(name: &str, limits: &wgpu::Limits) -> Result<(), GpuError> {
+    let needs = [
+        (
+            "storage buffers of a stage",
+            u64::from(limits.max_storage_buffers_per_shader_stage),
+            u64::from(STORAGE_BUFFERS),
+        ),
+        (
+            "bytes of a workgroup's memory",
+            limits.max_compute_workgroup_storage_size.into(),
+            WORKGROUP_BYTES.into(),
+        ),
+        (
+            "threads of a workgroup",
+            limits.max_compute_invocations_per_workgroup.into(),
+            WORKGROUP_THREADS.into(),
+        ),
+        (
+            "bytes of a buffer",
+            limits.max_storage_buffer_binding_size,
+            BINDING_BYTES,
+        ),
+    ];
+    for (what, has, needed) in needs {
+        if has < needed {
+            return Err(GpuError::Unfit {
+                device: name.into(),
+                what: format!("it has {has} {what}, and {needed} are needed"),
+            });
+        }
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_device_below_the_limits_is_refused_by_name() {
+        let enough = wgpu::Limits::default();
+        assert_eq!(check_limits("Toy", &enough), Ok(()));
+        let limits = wgpu::Limits {
+            max_compute_workgroup_storage_size: 8192,
+            ..enough
+        };
+        let message = check_limits("Toy", &limits).unwrap_err().to_string();
+        assert_eq!(
+            message,
+            "Toy cannot be used: it has 8192 bytes of a workgroup's memory, and 16384 are needed"
+        );
+    }
+}

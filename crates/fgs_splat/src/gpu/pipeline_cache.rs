@@ -1,0 +1,59 @@
+//! Compiled pipelines, kept from one run of the program to the next in the user's cache folder.
+//! What cannot be read or written is left out: then the driver compiles anew.
+
+use std::fs;
+use std::io::Write;
+use std::path::PathBuf;
+
+use etcetera::BaseStrategy;
+
+/// The file for one kind of device.
+pub struct PipelineCacheFile {
+    path: PathBuf,
+}
+
+impl PipelineCacheFile {
+    /// `None` if the device keeps no pipelines, or there is no place for them. Tests keep none.
+    pub fn of(info: &wgpu::AdapterInfo, features: wgpu::Features) -> Option<Self> {
+        if cfg!(test) || !features.contains(wgpu::Features::PIPELINE_CACHE) {
+            return None;
+        }
+        let name = wgpu::util::pipeline_cache_key(info)?;
+        let base = etcetera::choose_base_strategy().ok()?;
+        Some(Self {
+            path: base.cache_dir().join("fgs-slam").join(name),
+        })
+    }
+
+    /// What was saved, or an empty cache.
+    pub fn load(&self, device: &wgpu::Device) -> wgpu::PipelineCache {
+        let data = fs::read(&self.path).ok();
+        let descriptor = wgpu::PipelineCacheDescriptor {
+            label: Some("fgs"),
+            data: data.as_deref(),
+            fallback: true,
+        };
+        // SAFETY: the data is what `save` wrote for this kind of device, under a name of this
+        // program in the user's own cache folder; wgpu checks its header and falls back.
+        unsafe { device.create_pipeline_cache(&descriptor) }
+    }
+
+    /// Replaces the file, at once or not at all, if there is anything new.
+    pub fn save(&self, pipelines: &wgpu::PipelineCache) {
+        let Some(data) = pipelines.get_data() else {
+            return;
+        };
+        if fs::read(&self.path).is_ok_and(|saved| saved == data) {
+            return;
+        }
+        let write = || {
+            let folder = self.path.parent()?;
+            fs::create_dir_all(folder).ok()?;
+            let mut file = tempfile::NamedTempFile::new_in(folder).ok()?;
+            file.write_all(&data).ok()?;
+            file.persist(&self.path).ok()
+        };
+        // A cache that cannot be kept costs time alone.
+        let _ = write();
+    }
+}

@@ -1,0 +1,48 @@
+// Counts the gaussians in view, and forgets what the view showed before.
+//
+// Two passes over all gaussians, this and `project.wgsl`, keep what is in view in the order of the
+// gaussians: places come from prefix sums, not from a race.
+
+@group(0) @binding(1) var<storage, read> gaussians: array<Gaussian>;
+@group(0) @binding(2) var<storage, read_write> block_sums: array<u32>;
+@group(0) @binding(3) var<storage, read_write> counts: array<u32>;
+@group(0) @binding(4) var<storage, read_write> dispatches: array<u32>;
+@group(0) @binding(5) var<storage, read_write> visible_sets: array<u32>;
+
+@compute @workgroup_size(GROUP)
+fn count_in_view(
+    @builtin(global_invocation_id) id: vec3<u32>,
+    @builtin(workgroup_id) block: vec3<u32>,
+    @builtin(local_invocation_index) thread: u32,
+) {
+    let index = id.x;
+    var seen = 0u;
+    if index < view.count {
+        seen = u32(is_in_view(gaussians[index]));
+        if index % 32u == 0u && view.set_start != NONE {
+            visible_sets[view.set_start + index / 32u] = 0u;
+        }
+    }
+    let sums = workgroup_scan(seen, thread);
+    if thread == 0u {
+        block_sums[block.x] = sums.y;
+    }
+}
+
+// Where each block's gaussians go; starts the counts of a step.
+@compute @workgroup_size(GROUP)
+fn place_in_view(@builtin(local_invocation_index) thread: u32) {
+    let visible = scan_block_sums((view.count + GROUP - 1u) / GROUP, thread);
+    if thread == 0u {
+        counts[VISIBLE] = visible;
+        counts[TOUCHED] = 0u;
+        counts[SKIPPED] = 0u;
+        let groups = (visible + GROUP - 1u) / GROUP;
+        dispatches[PER_VISIBLE] = groups;
+        dispatches[PER_VISIBLE + 1u] = 1u;
+        dispatches[PER_VISIBLE + 2u] = 1u;
+        dispatches[SORT_VISIBLE] = (visible + SORT_BLOCK - 1u) / SORT_BLOCK;
+        dispatches[SORT_VISIBLE + 1u] = 1u;
+        dispatches[SORT_VISIBLE + 2u] = 1u;
+    }
+}

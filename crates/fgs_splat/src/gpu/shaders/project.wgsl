@@ -1,0 +1,42 @@
+// Writes the splats of the gaussians in view, and how many tiles each touches.
+
+@group(0) @binding(1) var<storage, read> gaussians: array<Gaussian>;
+@group(0) @binding(2) var<storage, read> block_sums: array<u32>;
+@group(0) @binding(3) var<storage, read_write> splats: array<Splat>;
+// The gaussian of each splat.
+@group(0) @binding(4) var<storage, read_write> gaussian_of: array<u32>;
+// Per splat, what its place among the others depends on.
+@group(0) @binding(5) var<storage, read_write> depth_keys: array<u32>;
+@group(0) @binding(6) var<storage, read_write> order: array<u32>;
+// Per splat, its first slot (written later) and their number.
+@group(0) @binding(7) var<storage, read_write> touches: array<vec2<u32>>;
+
+@compute @workgroup_size(GROUP)
+fn project(
+    @builtin(global_invocation_id) id: vec3<u32>,
+    @builtin(workgroup_id) block: vec3<u32>,
+    @builtin(local_invocation_index) thread: u32,
+) {
+    let index = id.x;
+    var seen = false;
+    if index < view.count {
+        seen = is_in_view(gaussians[index]);
+    }
+    let place = block_sums[block.x] + workgroup_scan(u32(seen), thread).x;
+    if !seen {
+        return;
+    }
+    let splat = splat_of(projection(gaussians[index]));
+    let support = support_of(splat);
+    var number = 0u;
+    for (var row = support.first_row / TILE; row <= support.last_row / TILE; row += 1) {
+        let columns = touched_columns(splat, support, row);
+        number += columns.y - columns.x;
+    }
+    splats[place] = splat;
+    gaussian_of[place] = index;
+    // Of positive numbers the bits have the same order.
+    depth_keys[place] = bitcast<u32>(splat.center_depth);
+    order[place] = place;
+    touches[place] = vec2(0u, number);
+}

@@ -1,0 +1,107 @@
+// Removes gaussians: the rest move together in their order, and with them all that belongs to them.
+
+@group(0) @binding(0) var<uniform> rule: Prune;
+@group(0) @binding(1) var<storage, read> gaussians: array<Gaussian>;
+@group(0) @binding(2) var<storage, read_write> block_sums: array<u32>;
+@group(0) @binding(3) var<storage, read_write> counts: array<u32>;
+// Where each gaussian goes, NONE if it is removed.
+@group(0) @binding(4) var<storage, read_write> new_from_old: array<u32>;
+@group(0) @binding(5) var<storage, read_write> moved_gaussians: array<Gaussian>;
+// The names of the removed ones in the sparse map, in their order.
+@group(0) @binding(6) var<storage, read_write> removed_ids: array<u32>;
+@group(0) @binding(7) var<storage, read> rows: array<array<vec4<f32>, 4>>;
+@group(0) @binding(8) var<storage, read_write> moved_rows: array<array<vec4<f32>, 4>>;
+@group(0) @binding(9) var<storage, read> visible_sets: array<u32>;
+@group(0) @binding(10) var<storage, read_write> moved_sets: array<atomic<u32>>;
+
+// Compares bits: a shader may take it that there is no NaN.
+fn is_number(x: f32) -> bool {
+    return (bitcast<u32>(x) & 0x7fffffffu) <= 0x7f800000u;
+}
+
+// Damaged gaussians do not survive.
+fn survives(gaussian: Gaussian) -> bool {
+    let logs = gaussian.log_scales;
+    if !(is_number(gaussian.opacity_logit) && is_number(logs.x) && is_number(logs.y)
+        && is_number(logs.z)) {
+        return false;
+    }
+    let opacity = 1.0 / (1.0 + exp(clamp(-gaussian.opacity_logit, -80.0, 80.0)));
+    let longest = max(max(logs.x, logs.y), logs.z);
+    // The middle one by what is neither.
+    let middle = max(min(logs.x, logs.y), min(max(logs.x, logs.y), logs.z));
+    return opacity >= rule.min_opacity && longest <= rule.max_log_scale
+        && longest - middle <= rule.max_log_aspect;
+}
+
+@compute @workgroup_size(GROUP)
+fn count_survivors(
+    @builtin(global_invocation_id) id: vec3<u32>,
+    @builtin(workgroup_id) block: vec3<u32>,
+    @builtin(local_invocation_index) thread: u32,
+) {
+    var kept = 0u;
+    if id.x < rule.count {
+        kept = u32(survives(gaussians[id.x]));
+    }
+    let sums = workgroup_scan(kept, thread);
+    if thread == 0u {
+        block_sums[block.x] = sums.y;
+    }
+}
+
+@compute @workgroup_size(GROUP)
+fn place_survivors(@builtin(local_invocation_index) thread: u32) {
+    let kept = scan_block_sums((rule.count + GROUP - 1u) / GROUP, thread);
+    if thread == 0u {
+        counts[KEPT] = kept;
+    }
+}
+
+@compute @workgroup_size(GROUP)
+fn move_survivors(
+    @builtin(global_invocation_id) id: vec3<u32>,
+    @builtin(workgroup_id) block: vec3<u32>,
+    @builtin(local_invocation_index) thread: u32,
+) {
+    let index = id.x;
+    var kept = false;
+    if index < rule.count {
+        kept = survives(gaussians[index]);
+    }
+    let place = block_sums[block.x] + workgroup_scan(u32(kept), thread).x;
+    if index >= rule.count {
+        return;
+    }
+    if kept {
+        moved_gaussians[place] = gaussians[index];
+        new_from_old[index] = place;
+    } else {
+        removed_ids[index - place] = gaussians[index].sparse_id;
+        new_from_old[index] = NONE;
+    }
+}
+
+@compute @workgroup_size(GROUP)
+fn move_rows(@builtin(global_invocation_id) id: vec3<u32>) {
+    if id.x < rule.count && new_from_old[id.x] != NONE {
+        moved_rows[new_from_old[id.x]] = rows[id.x];
+    }
+}
+
+// A thread for each word of each set; the moved sets were all zero.
+@compute @workgroup_size(GROUP)
+fn move_sets(@builtin(global_invocation_id) id: vec3<u32>) {
+    if id.x * 32u >= rule.count {
+        return;
+    }
+    let set_start = id.y * rule.set_words;
+    var rest = visible_sets[set_start + id.x];
+    while rest != 0u {
+        let place = new_from_old[id.x * 32u + countTrailingZeros(rest)];
+        rest &= rest - 1u;
+        if place != NONE {
+            atomicOr(&moved_sets[set_start + place / 32u], 1u << (place % 32u));
+        }
+    }
+}

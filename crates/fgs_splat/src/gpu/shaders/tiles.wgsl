@@ -1,0 +1,111 @@
+// Per-tile lists of splats in the order of blending; twin of `cpu/tiles.rs`.
+//
+// The splats are sorted by depth first, equally near ones by the order of the gaussians; their
+// touches, written in that order, are then sorted by tile alone, which keeps it. A touch's slot is
+// its place before that second sort: those of a splat follow each other.
+
+@group(0) @binding(1) var<storage, read_write> counts: array<u32>;
+@group(0) @binding(2) var<storage, read> order: array<u32>;
+@group(0) @binding(3) var<storage, read> splats: array<Splat>;
+@group(0) @binding(4) var<storage, read_write> touches: array<vec2<u32>>;
+@group(0) @binding(5) var<storage, read_write> block_sums: array<u32>;
+@group(0) @binding(6) var<storage, read_write> tile_keys: array<u32>;
+@group(0) @binding(7) var<storage, read_write> slots: array<u32>;
+@group(0) @binding(8) var<storage, read_write> slot_splats: array<u32>;
+@group(0) @binding(9) var<storage, read_write> dispatches: array<u32>;
+// Per tile, its first entry and the one after its last.
+@group(0) @binding(10) var<storage, read_write> ranges: array<vec2<u32>>;
+
+@compute @workgroup_size(GROUP)
+fn count_touches(
+    @builtin(global_invocation_id) id: vec3<u32>,
+    @builtin(workgroup_id) block: vec3<u32>,
+    @builtin(local_invocation_index) thread: u32,
+) {
+    var number = 0u;
+    if id.x < counts[VISIBLE] {
+        number = touches[order[id.x]].y;
+    }
+    let sums = workgroup_scan(number, thread);
+    if thread == 0u {
+        block_sums[block.x] = sums.y;
+    }
+}
+
+var<workgroup> visible: u32;
+
+// Where each block's touches go. Touches that do not fit void the step, and all after it until
+// there is more room.
+@compute @workgroup_size(GROUP)
+fn place_touches(@builtin(local_invocation_index) thread: u32) {
+    if thread == 0u {
+        visible = counts[VISIBLE];
+    }
+    let blocks = (workgroupUniformLoad(&visible) + GROUP - 1u) / GROUP;
+    let needed = scan_block_sums(blocks, thread);
+    if thread == 0u {
+        if needed > view.capacity {
+            counts[OVERFLOWED] = 1u;
+        }
+        let entries = select(needed, 0u, counts[OVERFLOWED] != 0u);
+        counts[ENTRIES_NEEDED] = needed;
+        counts[ENTRIES] = entries;
+        dispatches[SORT_ENTRIES] = (entries + SORT_BLOCK - 1u) / SORT_BLOCK;
+        dispatches[SORT_ENTRIES + 1u] = 1u;
+        dispatches[SORT_ENTRIES + 2u] = 1u;
+    }
+}
+
+@compute @workgroup_size(GROUP)
+fn write_touches(
+    @builtin(global_invocation_id) id: vec3<u32>,
+    @builtin(workgroup_id) block: vec3<u32>,
+    @builtin(local_invocation_index) thread: u32,
+) {
+    let is_splat = id.x < counts[VISIBLE];
+    var index = 0u;
+    var number = 0u;
+    if is_splat {
+        index = order[id.x];
+        number = touches[index].y;
+    }
+    var slot = block_sums[block.x] + workgroup_scan(number, thread).x;
+    if !is_splat || counts[ENTRIES] == 0u {
+        return;
+    }
+    touches[index].x = slot;
+    let splat = splats[index];
+    let support = support_of(splat);
+    for (var row = support.first_row / TILE; row <= support.last_row / TILE; row += 1) {
+        let columns = touched_columns(splat, support, row);
+        for (var column = columns.x; column < columns.y; column += 1u) {
+            tile_keys[slot] = u32(row) * view.tile_columns + column;
+            slots[slot] = slot;
+            slot_splats[slot] = index;
+            slot += 1u;
+        }
+    }
+}
+
+// The first entry whose tile is not below.
+fn lower_bound(tile: u32) -> u32 {
+    var low = 0u;
+    var high = counts[ENTRIES];
+    while low < high {
+        let middle = (low + high) / 2u;
+        if tile_keys[middle] < tile {
+            low = middle + 1u;
+        } else {
+            high = middle;
+        }
+    }
+    return low;
+}
+
+@compute @workgroup_size(GROUP)
+fn find_ranges(@builtin(global_invocation_id) id: vec3<u32>) {
+    let tile = id.x;
+    if tile < view.tile_columns * view.tile_rows {
+        ranges[tile] = vec2(lower_bound(tile), lower_bound(tile + 1u));
+    }
+}

@@ -1,0 +1,21 @@
+// Prefix sums over the GROUP threads of a workgroup, without subgroup operations.
+
+var<workgroup> scan_values: array<u32, GROUP>;
+
+// The sum of the values of the threads before this one, and of all. To be called by all threads.
+fn workgroup_scan(value: u32, thread: u32) -> vec2<u32> {
+    scan_values[thread] = value;
+    workgroupBarrier();
+    for (var reach = 1u; reach < GROUP; reach *= 2u) {
+        var sum = scan_values[thread];
+        if thread >= reach {
+            sum += scan_values[thread - reach];
+        }
+        workgroupBarrier();
+        scan_values[thread] = sum;
+        workgroupBarrier();
+    }
+    let sums = vec2(scan_values[thread] - value, scan_values[GROUP - 1u]);
+    workgroupBarrier();
+    return sums;
+}

@@ -1,0 +1,300 @@
+//! The stages: compute pipelines made from the shaders, and what each reads and writes.
+//!
+//! Input: WGSL files, put together from the preamble that Rust generates, shared functions and the
+//! stage's own file. A stage knows the names of the buffers that its entry point uses from the
+//! shader itself, so that no list of bindings is kept beside it.
+
+use wgpu::naga;
+
+use super::layout::preamble;
+
+/// A file of entry points, and the files of functions that it needs, in the order of their use.
+pub struct ShaderFile {
+    pub name: &'static str,
+    parts: &'static [&'static str],
+    entry_points: &'static [&'static str],
+}
+
+/// The file that stands for prefix sums over a workgroup, with or without subgroup operations.
+const WORKGROUP_SCAN: &str = include_str!("shaders/workgroup_scan.wgsl");
+const WORKGROUP_SCAN_BY_SUBGROUPS: &str = include_str!("shaders/workgroup_scan_by_subgroups.wgsl");
+
+const BLOCK_SCAN: &str = include_str!("shaders/block_scan.wgsl");
+const WORKGROUP_SUM: &str = include_str!("shaders/workgroup_sum.wgsl");
+const PROJECTION: &str = include_str!("shaders/projection.wgsl");
+const BOUNDS: &str = include_str!("shaders/bounds.wgsl");
+const IN_VIEW: &str = include_str!("shaders/in_view.wgsl");
+const SAMPLE: &str = include_str!("shaders/sample.wgsl");
+const LOSS_IMAGE: &str = include_str!("shaders/loss_image.wgsl");
+
+/// All shaders.
+pub const SHADER_FILES: &[ShaderFile] = &[
+    ShaderFile {
+        name: "cull",
+        parts: &[
+            WORKGROUP_SCAN,
+            BLOCK_SCAN,
+            PROJECTION,
+            BOUNDS,
+            IN_VIEW,
+            include_str!("shaders/cull.wgsl"),
+        ],
+        entry_points: &["count_in_view", "place_in_view"],
+    },
+    ShaderFile {
+        name: "project",
+        parts: &[
+            WORKGROUP_SCAN,
+            PROJECTION,
+            BOUNDS,
+            IN_VIEW,
+            include_str!("shaders/project.wgsl"),
+        ],
+        entry_points: &["project"],
+    },
+    ShaderFile {
+        name: "radix_sort",
+        parts: &[WORKGROUP_SCAN, include_str!("shaders/radix_sort.wgsl")],
+        entry_points: &["count_digits", "place_digits", "move_keys"],
+    },
+    ShaderFile {
+        name: "tiles",
+        parts: &[
+            WORKGROUP_SCAN,
+            BLOCK_SCAN,
+            PROJECTION,
+            BOUNDS,
+            include_str!("shaders/tiles.wgsl"),
+        ],
+        entry_points: &[
+            "count_touches",
+            "place_touches",
+            "write_touches",
+            "find_ranges",
+        ],
+    },
+    ShaderFile {
+        name: "forward",
+        parts: &[SAMPLE, include_str!("shaders/forward.wgsl")],
+        entry_points: &["forward"],
+    },
+    ShaderFile {
+        name: "ssim",
+        parts: &[WORKGROUP_SUM, LOSS_IMAGE, include_str!("shaders/ssim.wgsl")],
+        entry_points: &["ssim"],
+    },
+    ShaderFile {
+        name: "losses",
+        parts: &[
+            WORKGROUP_SUM,
+            LOSS_IMAGE,
+            include_str!("shaders/losses.wgsl"),
+        ],
+        entry_points: &["losses"],
+    },
+    ShaderFile {
+        name: "backward",
+        parts: &[SAMPLE, include_str!("shaders/backward.wgsl")],
+        entry_points: &["backward"],
+    },
+    ShaderFile {
+        name: "project_vjp",
+        parts: &[
+            WORKGROUP_SCAN,
+            PROJECTION,
+            include_str!("shaders/project_vjp.wgsl"),
+        ],
+        entry_points: &["project_vjp"],
+    },
+    ShaderFile {
+        name: "adam",
+        parts: &[WORKGROUP_SUM, include_str!("shaders/adam.wgsl")],
+        entry_points: &["adam"],
+    },
+    ShaderFile {
+        name: "step_stats",
+        parts: &[WORKGROUP_SUM, include_str!("shaders/step_stats.wgsl")],
+        entry_points: &["step_stats"],
+    },
+    ShaderFile {
+        name: "prune",
+        parts: &[
+            WORKGROUP_SCAN,
+            BLOCK_SCAN,
+            include_str!("shaders/prune.wgsl"),
+        ],
+        entry_points: &[
+            "count_survivors",
+            "place_survivors",
+            "move_survivors",
+            "move_rows",
+            "move_sets",
+        ],
+    },
+    ShaderFile {
+        name: "sparse",
+        parts: &[
+            WORKGROUP_SCAN,
+            BLOCK_SCAN,
+            include_str!("shaders/sparse.wgsl"),
+        ],
+        entry_points: &["count_moved", "place_moved", "write_moved"],
+    },
+    ShaderFile {
+        name: "covisibility",
+        parts: &[WORKGROUP_SCAN, include_str!("shaders/covisibility.wgsl")],
+        entry_points: &["covisibility"],
+    },
+];
+
+impl ShaderFile {
+    /// The whole text.
+    pub fn source(&self, by_subgroups: bool) -> String {
+        let mut source = preamble();
+        for part in self.parts {
+            source.push_str(match *part {
+                WORKGROUP_SCAN if by_subgroups => WORKGROUP_SCAN_BY_SUBGROUPS,
+                part => part,
+            });
+        }
+        source
+    }
+
+    /// The text as the shader compiler reads it, and what it found about it.
+    ///
+    /// # Errors
+    /// If it is no valid WGSL; the message shows where.
+    pub fn parse(
+        &self,
+        by_subgroups: bool,
+    ) -> Result<(naga::Module, naga::valid::ModuleInfo), String> {
+        let source = self.source(by_subgroups);
+        let module = naga::front::wgsl::parse_str(&source)
+            .map_err(|error| error.emit_to_string_with_path(&source, self.name))?;
+        let capabilities = if by_subgroups {
+            naga::valid::Capabilities::SUBGROUP
+        } else {
+            naga::valid::Capabilities::empty()
+        };
+        let mut validator =
+            naga::valid::Validator::new(naga::valid::ValidationFlags::all(), capabilities);
+        let info = validator
+            .validate(&module)
+            .map_err(|error| error.emit_to_string_with_path(&source, self.name))?;
+        Ok((module, info))
+    }
+}
+
+/// How pipelines are made.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct StageOptions {
+    /// Whether subgroup operations are used.
+    pub by_subgroups: bool,
+    /// Whether every access to a buffer is checked when it happens.
+    pub checked: bool,
+}
+
+/// A compute pipeline.
+pub struct Stage {
+    /// The entry point.
+    pub name: &'static str,
+    pub pipeline: wgpu::ComputePipeline,
+    layout: wgpu::BindGroupLayout,
+    /// Number and name of each buffer.
+    bindings: Vec<(u32, String)>,
+}
+
+impl Stage {
+    /// All stages of all shaders.
+    ///
+    /// # Errors
+    /// If a shader is not valid.
+    pub fn make_all(
+        device: &wgpu::Device,
+        options: StageOptions,
+        cache: Option<&wgpu::PipelineCache>,
+    ) -> Result<Vec<Self>, String> {
+        let mut stages = Vec::new();
+        for file in SHADER_FILES {
+            let (module, info) = file.parse(options.by_subgroups)?;
+            let used: Vec<Vec<(u32, String)>> = file
+                .entry_points
+                .iter()
+                .map(|name| used_bindings(&module, &info, name))
+                .collect();
+            let checks = if options.checked {
+                wgpu::ShaderRuntimeChecks::checked()
+            } else {
+                wgpu::ShaderRuntimeChecks::unchecked()
+            };
+            let descriptor = wgpu::ShaderModuleDescriptor {
+                label: Some(file.name),
+                source: wgpu::ShaderSource::Naga(std::borrow::Cow::Owned(module)),
+            };
+            // SAFETY: the shaders are this crate's own. Their loops end, and every index is below
+            // a length that the host allocated: the tests run them with checks and without and
+            // compare the results bit by bit.
+            let shader = unsafe { device.create_shader_module_trusted(descriptor, checks) };
+            for (name, bindings) in file.entry_points.iter().zip(used) {
+                let pipeline = device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
+                    label: Some(name),
+                    layout: None,
+                    module: &shader,
+                    entry_point: Some(name),
+                    compilation_options: Default::default(),
+                    cache,
+                });
+                stages.push(Self {
+                    name,
+                    layout: pipeline.get_bind_group_layout(0),
+                    pipeline,
+                    bindings,
+                });
+            }
+        }
+        Ok(stages)
+    }
+
+    /// The stage with its buffers, found by their names.
+    pub fn bind<'a>(
+        &self,
+        device: &wgpu::Device,
+        buffer: impl Fn(&str) -> &'a wgpu::Buffer,
+    ) -> wgpu::BindGroup {
+        let entries: Vec<wgpu::BindGroupEntry<'_>> = self
+            .bindings
+            .iter()
+            .map(|(binding, name)| wgpu::BindGroupEntry {
+                binding: *binding,
+                resource: buffer(name).as_entire_binding(),
+            })
+            .collect();
+        device.create_bind_group(&wgpu::BindGroupDescriptor {
+            label: Some(self.name),
+            layout: &self.layout,
+            entries: &entries,
+        })
+    }
+}
+
+/// The buffers that an entry point uses.
+fn used_bindings(
+    module: &naga::Module,
+    info: &naga::valid::ModuleInfo,
+    entry_point: &str,
+) -> Vec<(u32, String)> {
+    let position = module
+        .entry_points
+        .iter()
+        .position(|entry| entry.name == entry_point);
+    let Some(position) = position else {
+        return Vec::new();
+    };
+    let used = info.get_entry_point(position);
+    module
+        .global_variables
+        .iter()
+        .filter(|(handle, _)| !used[*handle].is_empty())
+        .filter_map(|(_, variable)| Some((variable.binding?.binding, variable.name.clone()?)))
+        .collect()
+}

@@ -1,0 +1,77 @@
+//! The measured images of views on the device: those used last, up to a number. The others wait in
+//! the host's memory.
+
+use std::collections::BTreeMap;
+
+use super::device::GpuDevice;
+use super::error::GpuError;
+use crate::Target;
+use crate::model::ViewId;
+
+/// Targets by view.
+pub struct ResidentTargets {
+    max: usize,
+    /// With the time of their last use.
+    buffers: BTreeMap<ViewId, (wgpu::Buffer, u64)>,
+    uses: u64,
+}
+
+impl ResidentTargets {
+    /// Keeps up to `max` of them, but at least one.
+    pub fn new(max: usize) -> Self {
+        Self {
+            max: max.max(1),
+            buffers: BTreeMap::new(),
+            uses: 0,
+        }
+    }
+
+    /// A view's target on the device: eight bits of each colour in a word, then the bits of the
+    /// depth in metres, pixel by pixel.
+    ///
+    /// # Errors
+    /// If the device's memory does not suffice.
+    pub fn get(
+        &mut self,
+        device: &GpuDevice,
+        id: ViewId,
+        target: &Target,
+    ) -> Result<wgpu::Buffer, GpuError> {
+        self.uses += 1;
+        if let Some((buffer, last_use)) = self.buffers.get_mut(&id) {
+            *last_use = self.uses;
+            return Ok(buffer.clone());
+        }
+        while self.buffers.len() >= self.max {
+            let oldest = self
+                .buffers
+                .iter()
+                .min_by_key(|(_, (_, last_use))| *last_use);
+            let Some(oldest) = oldest.map(|(id, _)| *id) else {
+                break;
+            };
+            self.buffers.remove(&oldest);
+        }
+        let colors = target.color().data().iter();
+        let pixels: Vec<[u32; 2]> = colors
+            .zip(target.depth_m().data())
+            .map(|([r, g, b], depth_m)| [u32::from_le_bytes([*r, *g, *b, 0]), depth_m.to_bits()])
+            .collect();
+        let bytes: &[u8] = bytemuck::cast_slice(&pixels);
+        let usage = wgpu::BufferUsages::STORAGE;
+        let buffer = device.buffer("a keyframe's images", bytes.len() as u64, usage)?;
+        device.queue().write_buffer(&buffer, 0, bytes);
+        self.buffers.insert(id, (buffer.clone(), self.uses));
+        Ok(buffer)
+    }
+
+    /// Forgets a view.
+    pub fn remove(&mut self, id: ViewId) {
+        self.buffers.remove(&id);
+    }
+
+    /// Bytes on the device.
+    pub fn bytes(&self) -> u64 {
+        self.buffers.values().map(|(buffer, _)| buffer.size()).sum()
+    }
+}

@@ -1,0 +1,1 @@
+//! The same calls give the same bits.

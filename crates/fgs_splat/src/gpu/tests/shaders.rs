@@ -1,0 +1,47 @@
+//! All shaders are valid, and Rust's structures lie as the shaders' do. Needs no device.
+
+use wgpu::naga;
+
+use crate::gpu::layout::layouts;
+use crate::gpu::stage::SHADER_FILES;
+
+#[test]
+fn every_shader_is_valid_with_subgroup_operations_and_without() {
+    for file in SHADER_FILES {
+        for by_subgroups in [false, true] {
+            if let Err(message) = file.parse(by_subgroups) {
+                panic!("{message}");
+            }
+        }
+    }
+}
+
+#[test]
+fn structures_lie_as_the_shaders_have_them() {
+    let mut compared = 0;
+    for file in SHADER_FILES {
+        let (module, _) = file.parse(false).unwrap();
+        let mut layouter = naga::proc::Layouter::default();
+        layouter.update(module.to_ctx()).unwrap();
+        for (name, size, fields) in layouts() {
+            let found = module
+                .types
+                .iter()
+                .find(|(_, ty)| ty.name.as_deref() == Some(name));
+            let Some((handle, ty)) = found else {
+                continue;
+            };
+            let naga::TypeInner::Struct { members, .. } = &ty.inner else {
+                panic!("{name} is no structure");
+            };
+            let offsets: Vec<(&str, usize)> = members
+                .iter()
+                .map(|member| (member.name.as_deref().unwrap(), member.offset as usize))
+                .collect();
+            assert_eq!(offsets, fields, "{name}");
+            assert_eq!(layouter[handle].size as usize, size, "{name}");
+            compared += 1;
+        }
+    }
+    assert!(compared >= layouts().len());
+}

@@ -1,0 +1,279 @@
+//! Each stage against its twin on the CPU, on all scenes.
+
+use super::scenes::{Scene, model_of, random_target, scenes};
+use crate::cpu::tests::inspect;
+use crate::cpu::tests::scenes::rng;
+use crate::gpu::gpu_model::GpuModel;
+use crate::gpu::layout::{self, Count, TILE};
+use crate::gpu::readback::read;
+use crate::{
+    Cotangents, GaussianGradients, GaussianModel, LossSettings, ModelSettings, Rasterizer,
+    photometric_loss,
+};
+
+fn fetch<T: bytemuck::Pod>(model: &GpuModel, name: &str, len: usize) -> Vec<T> {
+    let buffer = model.buffers.get(name).unwrap();
+    read(&model.device, buffer, 0, len).unwrap()
+}
+
+/// Runs `check` on every scene after a pass forward and backward with a random target.
+fn on_all_scenes(check: impl Fn(&Scene, &crate::Target, &GpuModel, &[u32])) {
+    for (seed, scene) in (0..).zip(scenes()) {
+        let Some(mut model) = model_of(&scene, &ModelSettings::default()) else {
+            return;
+        };
+        let target = random_target(&mut rng(seed), &scene.view);
+        let id = model.add_view(scene.view, target.clone()).unwrap();
+        let counts = model.see_again(id).unwrap();
+        check(&scene, &target, &model, &counts);
+    }
+}
+
+fn relative_error(actual: &[f32], expected: &[f32]) -> f64 {
+    assert_eq!(actual.len(), expected.len());
+    let norm = |values: &mut dyn Iterator<Item = f64>| values.map(|x| x * x).sum::<f64>().sqrt();
+    let pairs = actual.iter().zip(expected);
+    let error = norm(&mut pairs.map(|(a, b)| f64::from(a - b)));
+    error / norm(&mut expected.iter().map(|x| f64::from(*x))).max(1e-30)
+}
+
+#[test]
+fn splats_are_the_cpus() {
+    on_all_scenes(|scene, _, model, counts| {
+        let visible = counts[Count::VISIBLE as usize] as usize;
+        let gaussian_of: Vec<u32> = fetch(model, "gaussian_of", visible);
+        let splats: Vec<layout::Splat> = fetch(model, "splats", visible);
+        assert!(gaussian_of.is_sorted_by(|a, b| a < b), "{}", scene.name);
+        let expected = inspect::splats(&scene.gaussians, &scene.view);
+        for (gaussian, splat) in expected {
+            let Ok(at) = gaussian_of.binary_search(&gaussian) else {
+                panic!("{}: gaussian {gaussian} is missing", scene.name);
+            };
+            let actual = splats[at];
+            let numbers = [
+                &actual.mean2d[..],
+                &[actual.whiten_xx, actual.whiten_xy, actual.whiten_yy],
+                &[actual.opacity],
+                &actual.color,
+                &[actual.center_depth],
+                &actual.plane,
+                &[actual.plane_offset],
+            ]
+            .concat();
+            // A normal at right angles to the ray may be turned to either side.
+            let faces = splat[13].abs() > 1e-4;
+            for (i, (a, b)) in numbers.iter().zip(splat).enumerate() {
+                let error = (a - b).abs() / (1.0 + b.abs());
+                assert!(
+                    error <= 1e-4 || (i >= 10 && !faces),
+                    "{}: value {i} of gaussian {gaussian} is {a}, not {b}",
+                    scene.name
+                );
+            }
+        }
+    });
+}
+
+#[test]
+fn lists_are_sorted_and_hold_every_tile_that_the_cpus_do() {
+    on_all_scenes(|scene, _, model, counts| {
+        let visible = counts[Count::VISIBLE as usize] as usize;
+        let entries = counts[Count::ENTRIES as usize] as usize;
+        let gaussian_of: Vec<u32> = fetch(model, "gaussian_of", visible);
+        let splats: Vec<layout::Splat> = fetch(model, "splats", visible);
+        let keys: Vec<u32> = fetch(model, "tile_keys", entries);
+        let slots: Vec<u32> = fetch(model, "slots", entries);
+        let slot_splats: Vec<u32> = fetch(model, "slot_splats", entries);
+        let touches: Vec<[u32; 2]> = fetch(model, "touches", visible);
+        let camera = &scene.view.camera;
+        let columns = camera.width.div_ceil(TILE as usize);
+        let tiles = columns * camera.height.div_ceil(TILE as usize);
+        let ranges: Vec<[u32; 2]> = fetch(model, "ranges", tiles);
+
+        // Every slot once, those of a splat together.
+        let mut seen = vec![false; entries];
+        for &slot in &slots {
+            assert!(!std::mem::replace(&mut seen[slot as usize], true));
+        }
+        for (splat, [first, number]) in touches.iter().enumerate() {
+            for slot in *first..first + number {
+                assert_eq!(slot_splats[slot as usize] as usize, splat);
+            }
+        }
+        // Ranges are runs of one tile, in the order of depth, then of gaussians.
+        let mut pairs = std::collections::BTreeSet::new();
+        let mut end_before = 0;
+        for (tile, [start, end]) in ranges.into_iter().enumerate() {
+            assert_eq!(start, end_before);
+            end_before = end;
+            let range = start as usize..end as usize;
+            assert!(keys[range.clone()].iter().all(|key| *key as usize == tile));
+            let order: Vec<(u32, u32)> = slots[range]
+                .iter()
+                .map(|slot| {
+                    let splat = slot_splats[*slot as usize];
+                    (splats[splat as usize].center_depth.to_bits(), splat)
+                })
+                .collect();
+            assert!(order.is_sorted_by(|a, b| a < b), "{}", scene.name);
+            pairs.extend(
+                order
+                    .iter()
+                    .map(|(_, splat)| (tile, gaussian_of[*splat as usize])),
+            );
+        }
+        assert_eq!(end_before as usize, entries);
+        // No tile is left out in which a pixel takes the gaussian, and few are too many.
+        let [possible, taken] = inspect::tiles(&scene.gaussians, &scene.view, TILE as usize);
+        let missing: Vec<_> = taken.difference(&pairs).collect();
+        assert!(missing.is_empty(), "{}: {missing:?}", scene.name);
+        let (actual, most) = (pairs.len(), possible.len() + possible.len() / 20 + 3);
+        assert!(
+            actual <= most,
+            "{}: {actual} tiles touched, not {most}",
+            scene.name
+        );
+    });
+}
+
+#[test]
+fn images_are_the_cpus() {
+    on_all_scenes(|scene, _, model, _| {
+        let mut rasterizer = Rasterizer::default();
+        let pass = rasterizer.render(&scene.gaussians, &scene.view);
+        let expected = pass.rendered();
+        let pixels = scene.view.camera.width * scene.view.camera.height;
+        let shown: Vec<[f32; 4]> = fetch(model, "rendered", pixels);
+        let states: Vec<layout::PixelState> = fetch(model, "pixel_states", pixels);
+        let mut flips = 0;
+        for i in 0..pixels {
+            let [r, g, b] = expected.color.data()[i];
+            let actual = [shown[i][0], shown[i][1], shown[i][2], shown[i][3]];
+            let wanted = [r, g, b, expected.depth_m.data()[i]];
+            let alpha = 1.0 - states[i].transmittance;
+            let errors = actual.iter().zip(wanted).map(|(a, b)| (a - b).abs());
+            let error = errors.fold((alpha - expected.alpha.data()[i]).abs(), f32::max);
+            // A gaussian at the edge of being drawn gives up to 1/255 of its depth and colour.
+            assert!(error <= 0.02, "{}: pixel {i} is off by {error}", scene.name);
+            flips += usize::from(error > 1e-4);
+        }
+        assert!(flips <= pixels / 100, "{}: {flips} of {pixels}", scene.name);
+    });
+}
+
+#[test]
+fn cotangents_are_the_cpus() {
+    on_all_scenes(|scene, target, model, _| {
+        // Of the device's own image: what differs there is not the loss's fault.
+        let (rendered, pixels) = rendered_by(scene, model);
+        let mut expected = Cotangents::default();
+        let settings = LossSettings::default();
+        photometric_loss(&rendered, target, &settings, &mut expected).unwrap();
+        let actual: Vec<[f32; 4]> = fetch(model, "cotangents", pixels);
+        let d_alpha: Vec<f32> = fetch(model, "d_alpha", pixels);
+        let colors: Vec<f32> = actual.iter().flat_map(|d| [d[0], d[1], d[2]]).collect();
+        let depths: Vec<f32> = actual.iter().map(|d| d[3]).collect();
+        for (what, actual, expected) in [
+            ("colour", colors, expected.d_color.data().as_flattened()),
+            ("depth", depths, expected.d_depth_m.data()),
+            ("alpha", d_alpha, expected.d_alpha.data()),
+        ] {
+            let error = relative_error(&actual, expected);
+            assert!(error <= 1e-4, "{}: {what} is off by {error}", scene.name);
+        }
+    });
+}
+
+/// The image that the device has rendered.
+fn rendered_by(scene: &Scene, model: &GpuModel) -> (crate::Rendered, usize) {
+    let (width, height) = (scene.view.camera.width, scene.view.camera.height);
+    let pixels = width * height;
+    let shown: Vec<[f32; 4]> = fetch(model, "rendered", pixels);
+    let states: Vec<layout::PixelState> = fetch(model, "pixel_states", pixels);
+    let mut rendered = crate::Rendered::default();
+    rendered.resize(width, height);
+    for i in 0..pixels {
+        let [r, g, b, depth] = shown[i];
+        rendered.color.data_mut()[i] = [r, g, b];
+        rendered.depth_m.data_mut()[i] = depth;
+        rendered.alpha.data_mut()[i] = 1.0 - states[i].transmittance;
+    }
+    (rendered, pixels)
+}
+
+#[test]
+fn every_gradient_is_the_cpus() {
+    on_all_scenes(|scene, _, model, counts| {
+        let visible = counts[Count::VISIBLE as usize] as usize;
+        let pixels = scene.view.camera.width * scene.view.camera.height;
+        // From the device's own cotangents.
+        let by_pixel: Vec<[f32; 4]> = fetch(model, "cotangents", pixels);
+        let d_alpha: Vec<f32> = fetch(model, "d_alpha", pixels);
+        let mut cotangents = Cotangents::zeros(&scene.view.camera);
+        for i in 0..pixels {
+            let [r, g, b, depth] = by_pixel[i];
+            cotangents.d_color.data_mut()[i] = [r, g, b];
+            cotangents.d_depth_m.data_mut()[i] = depth;
+            cotangents.d_alpha.data_mut()[i] = d_alpha[i];
+        }
+        let mut expected = GaussianGradients::default();
+        let mut rasterizer = Rasterizer::default();
+        let mut pass = rasterizer.render(&scene.gaussians, &scene.view);
+        pass.vjp(&cotangents, &mut expected);
+
+        let gaussian_of: Vec<u32> = fetch(model, "gaussian_of", visible);
+        let gradients: Vec<layout::Gradient> = fetch(model, "gradients", visible);
+        let mut actual = vec![layout::Gradient::default(); scene.gaussians.len()];
+        for (gaussian, gradient) in gaussian_of.iter().zip(gradients) {
+            actual[*gaussian as usize] = gradient;
+        }
+        let touched = actual
+            .iter()
+            .filter(|gradient| gradient.touched == 1)
+            .count();
+        assert_eq!(touched, counts[Count::TOUCHED as usize] as usize);
+        let flips = touched.abs_diff(expected.touched.len());
+        assert!(
+            flips <= 2,
+            "{}: {flips} flips of touched gaussians",
+            scene.name
+        );
+        let actual: Vec<_> = expected
+            .touched
+            .iter()
+            .map(|i| actual[*i as usize])
+            .collect();
+        let rows = || actual.iter().zip(&expected.gradients);
+        let compare = |what: &str, pairs: Vec<(f32, f32)>| {
+            let (actual, expected): (Vec<f32>, Vec<f32>) = pairs.into_iter().unzip();
+            let error = relative_error(&actual, &expected);
+            assert!(error <= 1e-3, "{}: {what} is off by {error}", scene.name);
+        };
+        compare(
+            "mean",
+            rows()
+                .flat_map(|(a, b)| a.mean.into_iter().zip(b.d_mean))
+                .collect(),
+        );
+        compare(
+            "quat",
+            rows()
+                .flat_map(|(a, b)| a.quat.into_iter().zip(b.d_quat))
+                .collect(),
+        );
+        let logs = rows().flat_map(|(a, b)| a.log_scales.into_iter().zip(b.d_log_scales));
+        compare("log-scales", logs.collect());
+        compare(
+            "opacity",
+            rows()
+                .map(|(a, b)| (a.opacity_logit, b.d_opacity_logit))
+                .collect(),
+        );
+        compare(
+            "colour",
+            rows()
+                .flat_map(|(a, b)| a.sh.into_iter().zip(b.d_sh))
+                .collect(),
+        );
+    });
+}
