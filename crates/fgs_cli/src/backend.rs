@@ -30,14 +30,14 @@ pub enum Model {
     /// On the CPU.
     Cpu {
         /// The map.
-        model: CpuModel,
+        model: Box<CpuModel>,
         /// Why no graphics device is used, if one was looked for.
         reason: Option<GpuError>,
     },
     /// On a graphics device.
     Gpu {
         /// The map.
-        model: GpuModel,
+        model: Box<GpuModel>,
         /// The device's name.
         device: String,
     },
@@ -50,7 +50,7 @@ impl Backend {
     /// A [`UsageError`] if a graphics device was asked for and none can be used.
     pub fn model(self, config: &MappingConfig) -> Result<Model, UsageError> {
         let on_cpu = |reason| Model::Cpu {
-            model: CpuModel::new(model_settings(config)),
+            model: Box::new(CpuModel::new(model_settings(config))),
             reason,
         };
         let on_gpu = |accept_software| {
@@ -58,7 +58,7 @@ impl Backend {
             let name = device.name().to_owned();
             let model = GpuModel::new(device, model_settings(config), config.max_views_on_gpu)?;
             Ok(Model::Gpu {
-                model,
+                model: Box::new(model),
                 device: name,
             })
         };
@@ -111,7 +111,7 @@ mod tests {
     #[test]
     fn the_choice_is_said_with_its_reason() {
         let on_cpu = |reason| Model::Cpu {
-            model: CpuModel::default(),
+            model: Box::default(),
             reason,
         };
         assert_eq!(on_cpu(None).to_string(), "the CPU");

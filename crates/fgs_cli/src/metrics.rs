@@ -64,6 +64,8 @@ pub struct Metrics {
     pub map_bytes: u64,
     /// Most physical memory used until the map was saved.
     pub peak_rss_bytes: Option<u64>,
+    /// Memory of the graphics device that the map takes at the end.
+    pub device_bytes: u64,
     /// The seed.
     pub seed: u64,
     /// The program's commit.

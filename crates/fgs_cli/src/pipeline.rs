@@ -50,8 +50,8 @@ impl Plan {
         self.announce(&model, console);
         let name = model.name().to_owned();
         let result = match model {
-            Model::Cpu { model, .. } => self.track_and_map(model, name, console, stop),
-            Model::Gpu { model, .. } => self.track_and_map(model, name, console, stop),
+            Model::Cpu { model, .. } => self.track_and_map(*model, name, console, stop),
+            Model::Gpu { model, .. } => self.track_and_map(*model, name, console, stop),
         };
         self.conclude(result?, console, stop)
     }
@@ -185,6 +185,7 @@ impl Plan {
             num_gaussians: output.gaussians.len(),
             map_bytes: 0,
             peak_rss_bytes: memory::peak_rss_bytes(),
+            device_bytes: output.device_bytes,
             seed: self.settings.slam().seed,
             commit: COMMIT.into(),
             mode: self.mode,

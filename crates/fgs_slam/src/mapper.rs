@@ -149,6 +149,11 @@ impl<M: GaussianModel> Mapper<M> {
         Ok(changes)
     }
 
+    /// Bytes that the map takes on a graphics device.
+    pub fn device_bytes(&self) -> u64 {
+        self.model.device_bytes()
+    }
+
     /// The map; after a failure, as far as it is known.
     pub fn into_gaussians(self) -> Gaussians {
         self.model.into_gaussians()

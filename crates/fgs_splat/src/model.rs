@@ -178,6 +178,11 @@ pub trait GaussianModel {
     /// If the device fails.
     fn gaussians(&mut self) -> Result<Gaussians, ModelError>;
 
+    /// Bytes that the model takes on a graphics device.
+    fn device_bytes(&self) -> u64 {
+        0
+    }
+
     /// All gaussians, once they are final; after a failure of the device, as they were last known.
     fn into_gaussians(self) -> Gaussians
     where

@@ -47,6 +47,8 @@ pub struct SlamOutput {
     pub keyframes: Vec<KeyframeRecord>,
     /// The map.
     pub gaussians: Gaussians,
+    /// Bytes that the map took on a graphics device at the end.
+    pub device_bytes: u64,
     /// Frames dropped because they came too late.
     pub frames_dropped: usize,
     /// Frames that could not be read.
@@ -133,6 +135,7 @@ pub fn run<E: Error + 'static>(
             mapping: worker.busy,
             steps: worker.mapper.steps(),
         },
+        device_bytes: worker.mapper.device_bytes(),
         gaussians: worker.mapper.into_gaussians(),
         failure: worker.failure,
     })

@@ -139,6 +139,12 @@ impl Buffers {
         self.entries
     }
 
+    /// Counts on so much room only.
+    #[cfg(test)]
+    pub fn shrink_entries(&mut self, entries: usize) {
+        self.entries = self.entries.min(entries);
+    }
+
     /// Sets that there is room for.
     pub fn sets(&self) -> usize {
         self.sets

@@ -29,7 +29,7 @@ struct Shared {
     device: wgpu::Device,
     queue: wgpu::Queue,
     stages: Vec<Stage>,
-    /// The first thing that went wrong.
+    /// What went wrong, if anything did.
     failure: Arc<Mutex<Option<GpuError>>>,
 }
 
@@ -102,10 +102,10 @@ impl GpuDevice {
             pollster::block_on(request).map_err(|error| GpuError::Other(error.to_string()))?;
 
         let failure = Arc::new(Mutex::new(None));
-        let first = failure.clone();
-        device.on_uncaptured_error(Arc::new(move |error| note(&first, translate(&error))));
-        let first = failure.clone();
-        device.set_device_lost_callback(move |_, message| note(&first, GpuError::Lost(message)));
+        let kept = failure.clone();
+        device.on_uncaptured_error(Arc::new(move |error| note(&kept, translate(&error))));
+        let kept = failure.clone();
+        device.set_device_lost_callback(move |_, message| note(&kept, GpuError::Lost(message)));
 
         let cache = PipelineCacheFile::of(&info, features);
         let pipelines = cache.as_ref().map(|cache| cache.load(&device));
@@ -148,11 +148,17 @@ impl GpuDevice {
 
     /// Whether anything has failed so far.
     pub(super) fn check(&self) -> Result<(), GpuError> {
+        let Some(error) = self.failure() else {
+            return Ok(());
+        };
+        // A device that is gone complains of what it is still asked for before it says so.
+        let _ = self.raw().poll(wgpu::PollType::wait_indefinitely());
+        Err(self.failure().unwrap_or(error))
+    }
+
+    fn failure(&self) -> Option<GpuError> {
         let failure = self.shared.failure.lock();
-        match &*failure.unwrap_or_else(PoisonError::into_inner) {
-            Some(error) => Err(error.clone()),
-            None => Ok(()),
-        }
+        failure.unwrap_or_else(PoisonError::into_inner).clone()
     }
 
     /// A buffer of zeros. `what` names its contents.
@@ -203,10 +209,14 @@ impl GpuDevice {
     }
 }
 
-/// Keeps the first failure: what follows is mostly its consequence.
-fn note(first: &Mutex<Option<GpuError>>, error: GpuError) {
-    let mut first = first.lock().unwrap_or_else(PoisonError::into_inner);
-    first.get_or_insert(error);
+/// Keeps the first failure, what follows being mostly its consequence, but for the device's loss,
+/// which explains all others.
+fn note(kept: &Mutex<Option<GpuError>>, error: GpuError) {
+    let mut kept = kept.lock().unwrap_or_else(PoisonError::into_inner);
+    let explains = matches!(error, GpuError::Lost(_)) && !matches!(*kept, Some(GpuError::Lost(_)));
+    if kept.is_none() || explains {
+        *kept = Some(error);
+    }
 }
 
 fn translate(error: &wgpu::Error) -> GpuError {

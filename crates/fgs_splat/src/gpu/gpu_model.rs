@@ -63,6 +63,17 @@ struct TrainingView {
     set: u32,
 }
 
+/// A step's stages and how much there was for them to do.
+#[derive(Clone, Debug, PartialEq)]
+pub struct TimedStep {
+    /// In their order, each with the milliseconds that it took by the device's clock.
+    pub stages: Vec<(&'static str, f64)>,
+    /// Gaussians in view.
+    pub in_view: usize,
+    /// Entries of the tiles' lists: how many times a gaussian meets a tile of 8x8 pixels.
+    pub entries: usize,
+}
+
 /// A step that the device has not reported yet.
 struct InFlight {
     view: ViewId,
@@ -125,32 +136,30 @@ impl GpuModel {
         })
     }
 
-    /// Bytes that the map and its views take on the device.
-    pub fn device_bytes(&self) -> u64 {
-        self.buffers.bytes() + self.targets.bytes()
-    }
-
     /// How many steps found no room and were repeated.
     pub fn repeated_steps(&self) -> usize {
         self.repeated_steps
     }
 
-    /// Takes a step on a registered view; its stages in their order, each with the milliseconds
-    /// that it took by the device's clock. `None` if the device has no clock.
+    /// Takes a step on a registered view and times its stages. `None` if the device has no clock.
     ///
     /// # Errors
-    /// If there is no such view or the device fails.
-    pub fn timed_step(
-        &mut self,
-        id: ViewId,
-    ) -> Result<Option<Vec<(&'static str, f64)>>, ModelError> {
+    /// If there is no such view, a rendered value is out of range or the device fails.
+    pub fn timed_step(&mut self, id: ViewId) -> Result<Option<TimedStep>, ModelError> {
         self.finish_steps()?;
         let Some(mut timer) = StageTimer::new(&self.device)? else {
             return Ok(None);
         };
         self.submit_step(id, Some(&mut timer))?;
         self.finish_steps()?;
-        Ok(Some(timer.take(&self.device)?))
+        let counts = self.buffers.get("counts")?;
+        let counts: Vec<u32> = read(&self.device, counts, 0, Count::ALL.len())?;
+        let count = |place: Count| counts[place as usize] as usize;
+        Ok(Some(TimedStep {
+            stages: timer.take(&self.device)?,
+            in_view: count(Count::VISIBLE),
+            entries: count(Count::ENTRIES),
+        }))
     }
 
     /// Waits for all steps.
@@ -333,6 +342,12 @@ impl GpuModel {
     pub(super) fn see_again(&mut self, id: ViewId) -> Result<Vec<u32>, ModelError> {
         let (view, loss) = self.look_at(id)?;
         self.run_to_the_end(&view, Some(&loss))
+    }
+
+    /// Leaves room for only so many entries, as if no view had been looked at.
+    #[cfg(test)]
+    pub(super) fn shrink_entries(&mut self, entries: usize) {
+        self.buffers.shrink_entries(entries);
     }
 
     fn read_gaussians(&self) -> Result<Vec<Gaussian>, GpuError> {
@@ -560,6 +575,10 @@ impl GaussianModel for GpuModel {
     fn gaussians(&mut self) -> Result<Gaussians, ModelError> {
         self.finish_steps()?;
         Ok(from_device(&self.read_gaussians()?))
+    }
+
+    fn device_bytes(&self) -> u64 {
+        self.buffers.bytes() + self.targets.bytes()
     }
 
     fn into_gaussians(mut self) -> Gaussians {

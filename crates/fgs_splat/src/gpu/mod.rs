@@ -25,4 +25,4 @@ mod timer;
 
 pub use device::GpuDevice;
 pub use error::GpuError;
-pub use gpu_model::GpuModel;
+pub use gpu_model::{GpuModel, TimedStep};

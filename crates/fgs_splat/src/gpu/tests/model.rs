@@ -1,1 +1,395 @@
-//! The whole model against the CPU's.
+//! The whole model against the CPU's: steps, insertion, pruning, the sparse map, covisibility; and
+//! what happens when there is no room or no device any more.
+
+use fgs_geom::{Se3, View};
+use nalgebra::Vector6;
+
+use super::device::{device, open};
+use super::scenes::{Scene, model_of, random_target, scenes, seeds};
+use crate::cpu::tests::scenes::{random_gaussians, random_view, rng, to_f32};
+use crate::gpu::gpu_model::GpuModel;
+use crate::gpu::stage::StageOptions;
+use crate::{
+    CpuModel, GaussianModel, Gaussians, GpuError, LossError, LossSettings, ModelError,
+    ModelSettings, PruneRule, Target, ViewId,
+};
+
+const RULE: PruneRule = PruneRule {
+    min_opacity: 0.3,
+    max_scale_m: 0.2,
+    max_aspect: 4.0,
+};
+
+/// A scene of three views with targets that the gaussians can move to.
+struct World {
+    gaussians: Gaussians,
+    views: Vec<(View, Target)>,
+}
+
+fn world(count: usize) -> World {
+    let mut rng = rng(77);
+    let first = random_view(&mut rng, 60, 44);
+    let gaussians = to_f32(&random_gaussians(&mut rng, &first, count));
+    let views = (0..3)
+        .map(|i| {
+            let step =
+                Se3::exp(&Vector6::new(0.1, 0.05, 0.0, 0.02, -0.1, 0.05).scale(f64::from(i)));
+            let view = View {
+                world_from_camera: first.world_from_camera * step,
+                ..first
+            };
+            let target = random_target(&mut rng, &view);
+            (view, target)
+        })
+        .collect();
+    World { gaussians, views }
+}
+
+fn fill(model: &mut impl GaussianModel, world: &World) -> Vec<ViewId> {
+    model.insert(&seeds(&world.gaussians)).unwrap();
+    let views = world.views.iter();
+    views
+        .map(|(view, target)| model.add_view(*view, target.clone()).unwrap())
+        .collect()
+}
+
+/// Steps, insertion and pruning by turns.
+fn work(model: &mut impl GaussianModel, world: &World, ids: &[ViewId]) {
+    for round in 0..12 {
+        model.step(ids[round % ids.len()]).unwrap();
+        if round == 4 {
+            model.insert(&seeds(&world.gaussians)).unwrap();
+        }
+        if round == 8 {
+            model.prune(&RULE).unwrap();
+        }
+    }
+}
+
+fn models(count: usize, settings: &ModelSettings) -> Option<(World, GpuModel, CpuModel)> {
+    let gpu = GpuModel::new(device()?, settings.clone(), 2).unwrap();
+    Some((world(count), gpu, CpuModel::new(settings.clone())))
+}
+
+/// Largest differences of the parameters, in the order of the fields.
+fn differences(a: &Gaussians, b: &Gaussians) -> [f32; 5] {
+    let largest = |a: &[f32], b: &[f32]| {
+        assert_eq!(a.len(), b.len());
+        let errors = a.iter().zip(b).map(|(a, b)| (a - b).abs());
+        errors.fold(0.0, f32::max)
+    };
+    [
+        largest(a.means.as_flattened(), b.means.as_flattened()),
+        largest(a.quats.as_flattened(), b.quats.as_flattened()),
+        largest(a.log_scales.as_flattened(), b.log_scales.as_flattened()),
+        largest(&a.opacity_logits, &b.opacity_logits),
+        largest(a.sh.as_flattened(), b.sh.as_flattened()),
+    ]
+}
+
+#[test]
+fn a_step_moves_every_scene_as_on_the_cpu() {
+    for settings in [
+        ModelSettings::default(),
+        ModelSettings {
+            loss: LossSettings {
+                mask_color_by_depth: true,
+                normalize_depth: false,
+                ..LossSettings::default()
+            },
+            ..ModelSettings::default()
+        },
+    ] {
+        for (seed, scene) in (0..).zip(scenes()) {
+            let Some(mut gpu) = model_of(&scene, &settings) else {
+                return;
+            };
+            let mut cpu = CpuModel::new(settings.clone());
+            cpu.insert(&seeds(&scene.gaussians)).unwrap();
+            let target = random_target(&mut rng(seed), &scene.view);
+            let id = gpu.add_view(scene.view, target.clone()).unwrap();
+            cpu.add_view(scene.view, target).unwrap();
+            gpu.step(id).unwrap();
+            cpu.step(id).unwrap();
+            compare_after_a_step(&scene, &settings, &mut gpu, &mut cpu);
+        }
+    }
+}
+
+fn compare_after_a_step(
+    scene: &Scene,
+    settings: &ModelSettings,
+    gpu: &mut GpuModel,
+    cpu: &mut CpuModel,
+) {
+    let (on_gpu, on_cpu) = (gpu.gaussians().unwrap(), cpu.gaussians().unwrap());
+    let (gpu_stats, cpu_stats) = (gpu.take_stats(), cpu.take_stats());
+    let [gpu_stats, cpu_stats] = [gpu_stats[0], cpu_stats[0]];
+    let error = (gpu_stats.loss - cpu_stats.loss).abs() / (1e-3 + cpu_stats.loss);
+    assert!(
+        error <= 1e-3,
+        "{}: {gpu_stats:?}, {cpu_stats:?}",
+        scene.name
+    );
+    assert!(
+        gpu_stats.visible.abs_diff(cpu_stats.visible) <= 2,
+        "{}",
+        scene.name
+    );
+    assert_eq!(gpu_stats.skipped_gradients, cpu_stats.skipped_gradients);
+
+    // A first step is a learning rate long, up or down: where a derivative is nearly zero its sign
+    // is rounding's. So nearly all agree, and none is off by more than both ways.
+    let rates = &settings.learning_rates;
+    let steps = [
+        rates.means,
+        rates.quats,
+        rates.log_scales,
+        rates.opacity_logits,
+        rates.sh,
+    ];
+    let fields = |gaussians: &Gaussians| {
+        [
+            gaussians.means.as_flattened().to_vec(),
+            gaussians.quats.as_flattened().to_vec(),
+            gaussians.log_scales.as_flattened().to_vec(),
+            gaussians.opacity_logits.clone(),
+            gaussians.sh.as_flattened().to_vec(),
+        ]
+    };
+    let before = fields(&scene.gaussians);
+    let pairs = fields(&on_gpu).into_iter().zip(fields(&on_cpu));
+    let (mut moved, mut differing) = (0, 0);
+    for ((rate, before), (on_gpu, on_cpu)) in steps.iter().zip(before).zip(pairs) {
+        for ((a, b), start) in on_gpu.iter().zip(&on_cpu).zip(before) {
+            if start.is_nan() {
+                assert!(a.is_nan() && b.is_nan(), "{}", scene.name);
+                continue;
+            }
+            if a.to_bits() == b.to_bits() {
+                moved += usize::from(*a != start);
+                continue;
+            }
+            let slack = 1e-6 * start.abs();
+            let error = (a - b).abs();
+            assert!(error <= 2.01 * rate + slack, "{}: {a}, {b}", scene.name);
+            moved += 1;
+            differing += usize::from(error > 0.02 * rate + slack);
+        }
+    }
+    assert!(
+        differing <= 2 + moved / 50,
+        "{}: {differing} of {moved} moved otherwise",
+        scene.name
+    );
+}
+
+#[test]
+fn many_steps_with_insertion_and_pruning_stay_with_the_cpu() {
+    let Some((world, mut gpu, mut cpu)) = models(400, &ModelSettings::default()) else {
+        return;
+    };
+    let ids = fill(&mut gpu, &world);
+    assert_eq!(fill(&mut cpu, &world), ids);
+    work(&mut gpu, &world, &ids);
+    work(&mut cpu, &world, &ids);
+    let lens = (gpu.len(), cpu.len());
+    assert_eq!(lens.0, lens.1);
+    assert!(lens.0 < 2 * world.gaussians.len());
+    let (on_gpu, on_cpu) = (gpu.gaussians().unwrap(), cpu.gaussians().unwrap());
+    // Twelve steps of the learning rates, some of them in directions that rounding chose.
+    let differences = differences(&on_gpu, &on_cpu);
+    let rates = ModelSettings::default().learning_rates;
+    let rates = [
+        rates.means,
+        rates.quats,
+        rates.log_scales,
+        rates.opacity_logits,
+        rates.sh,
+    ];
+    for (difference, rate) in differences.into_iter().zip(rates) {
+        assert!(difference <= 12.0 * rate, "{differences:?}");
+    }
+    let losses = |stats: Vec<crate::StepStats>| -> Vec<f32> {
+        stats.into_iter().map(|step| step.loss).collect()
+    };
+    let (gpu_losses, cpu_losses) = (losses(gpu.take_stats()), losses(cpu.take_stats()));
+    assert_eq!(gpu_losses.len(), 12);
+    for (a, b) in gpu_losses.iter().zip(&cpu_losses) {
+        assert!((a / b - 1.0).abs() <= 2e-3, "{gpu_losses:?} {cpu_losses:?}");
+    }
+
+    // The sparse map, of pruned gaussians too.
+    let (on_gpu, on_cpu) = (
+        gpu.take_sparse_changes().unwrap(),
+        cpu.take_sparse_changes().unwrap(),
+    );
+    assert_eq!(on_gpu.removed, on_cpu.removed);
+    let ids = |changes: &crate::SparseChanges| -> Vec<_> {
+        changes.moved.iter().map(|gaussian| gaussian.id).collect()
+    };
+    assert!(!on_gpu.removed.is_empty() && on_gpu.moved.len() > 20);
+    assert_eq!(ids(&on_gpu), ids(&on_cpu));
+    for (a, b) in on_gpu.moved.iter().zip(&on_cpu.moved) {
+        assert!((a.opacity - b.opacity).abs() <= 0.12 && (a.mean[0] - b.mean[0]).abs() <= 5e-3);
+    }
+    let again = gpu.take_sparse_changes().unwrap();
+    assert!(again.moved.is_empty() && again.removed.is_empty());
+}
+
+#[test]
+fn covisibility_is_the_cpus_through_pruning_and_growing() {
+    let Some((world, mut gpu, mut cpu)) = models(500, &ModelSettings::default()) else {
+        return;
+    };
+    let ids = fill(&mut gpu, &world);
+    fill(&mut cpu, &world);
+    // More views than there are sets at first, and more gaussians than there is room for.
+    let extra: Vec<(ViewId, ViewId)> = (0..20)
+        .map(|i| {
+            let (view, target) = &world.views[i % 3];
+            let ids = [
+                gpu.add_view(*view, target.clone()).unwrap(),
+                cpu.add_view(*view, target.clone()).unwrap(),
+            ];
+            (ids[0], ids[1])
+        })
+        .collect();
+    let mut many = Gaussians::default();
+    for _ in 0..40 {
+        many.extend(&world.gaussians);
+    }
+    gpu.insert(&seeds(&many)).unwrap();
+    cpu.insert(&seeds(&many)).unwrap();
+    assert_eq!(gpu.prune(&RULE).unwrap(), cpu.prune(&RULE).unwrap());
+    for id in extra.iter().step_by(2) {
+        assert_eq!(id.0, id.1);
+        gpu.drop_view(id.0).unwrap();
+        cpu.drop_view(id.1).unwrap();
+    }
+    assert!(matches!(
+        gpu.drop_view(extra[0].0),
+        Err(ModelError::NoSuchView(_))
+    ));
+    let (view, target) = &world.views[1];
+    let new = gpu.add_view(*view, target.clone()).unwrap();
+    assert_eq!(cpu.add_view(*view, target.clone()).unwrap(), new);
+    for id in [ids[0], ids[2], extra[1].0, new] {
+        let (on_gpu, on_cpu) = (gpu.covisibility(id).unwrap(), cpu.covisibility(id).unwrap());
+        assert_eq!(on_gpu.len(), on_cpu.len());
+        for ((a_id, a), (b_id, b)) in on_gpu.iter().zip(&on_cpu) {
+            assert_eq!(a_id, b_id);
+            assert!((a - b).abs() <= 0.02, "{a} {b}");
+        }
+        assert!(on_cpu.iter().any(|(_, share)| (0.02..1.0).contains(share)));
+    }
+}
+
+#[test]
+fn a_render_is_the_cpus() {
+    let Some((world, mut gpu, mut cpu)) = models(600, &ModelSettings::default()) else {
+        return;
+    };
+    fill(&mut gpu, &world);
+    fill(&mut cpu, &world);
+    let view = &world.views[2].0;
+    let (on_gpu, on_cpu) = (gpu.render(view).unwrap(), cpu.render(view).unwrap());
+    let pairs = on_gpu.color.data().iter().zip(on_cpu.color.data());
+    let error = pairs.map(|(a, b)| (a[1] - b[1]).abs()).sum::<f32>();
+    assert!(error <= 1e-3 * on_cpu.color.data().len() as f32, "{error}");
+}
+
+#[test]
+fn without_room_steps_are_repeated_and_nothing_is_lost() {
+    let Some(device) = device() else {
+        return;
+    };
+    let world = world(400);
+    let run = |entries| {
+        let settings = ModelSettings::default();
+        let mut model = GpuModel::with_entries(device.clone(), settings, 2, entries).unwrap();
+        model.insert(&seeds(&world.gaussians.clone())).unwrap();
+        let ids: Vec<ViewId> = (world.views.iter())
+            .map(|(view, target)| model.add_view(*view, target.clone()).unwrap())
+            .collect();
+        model.shrink_entries(entries);
+        work(&mut model, &world, &ids);
+        let gaussians = model.gaussians().unwrap();
+        (gaussians, model.take_stats(), model.repeated_steps())
+    };
+    let (roomy, roomy_stats, repeated) = run(1 << 16);
+    assert_eq!(repeated, 0);
+    let (tight, tight_stats, repeated) = run(300);
+    assert!(repeated >= 1);
+    assert_eq!(tight_stats, roomy_stats);
+    assert!(tight == roomy);
+}
+
+#[test]
+fn a_render_out_of_range_says_where() {
+    let Some((mut world, mut gpu, mut cpu)) = models(50, &ModelSettings::default()) else {
+        return;
+    };
+    for sh in &mut world.gaussians.sh {
+        *sh = [1e6; 3];
+    }
+    let ids = fill(&mut gpu, &world);
+    fill(&mut cpu, &world);
+    let wanted = cpu.step(ids[0]);
+    let Err(ModelError::Loss(LossError::OutOfRange { u, v, .. })) = wanted else {
+        panic!("{wanted:?}");
+    };
+    let before = gpu.gaussians().unwrap();
+    gpu.step(ids[0]).unwrap();
+    let found = gpu.finish_steps();
+    assert!(
+        matches!(found, Err(ModelError::Loss(LossError::OutOfRange { u: a, v: b, .. })) if (a, b) == (u, v)),
+        "{found:?}"
+    );
+    assert!(gpu.gaussians().unwrap() == before);
+}
+
+#[test]
+fn a_lost_device_is_an_error_and_the_map_is_kept() {
+    let lost = open(|_| StageOptions {
+        by_subgroups: false,
+        checked: true,
+    });
+    let Some(device) = lost else {
+        return;
+    };
+    let world = world(100);
+    let mut model = GpuModel::new(device.clone(), ModelSettings::default(), 2).unwrap();
+    let ids = fill(&mut model, &world);
+    model.step(ids[0]).unwrap();
+    device.raw().destroy();
+    let failure = (0..20).find_map(|_| model.step(ids[0]).err());
+    assert!(
+        matches!(failure, Some(ModelError::Device(GpuError::Lost(_)))),
+        "{failure:?}"
+    );
+    assert!(model.render(&world.views[0].0).is_err());
+    assert!(model.into_gaussians() == world.gaussians);
+}
+
+#[test]
+fn refusals_are_the_cpus() {
+    let Some((world, mut gpu, _)) = models(10, &ModelSettings::default()) else {
+        return;
+    };
+    let ids = fill(&mut gpu, &world);
+    let nowhere = ViewId(99);
+    assert_eq!(gpu.step(nowhere), Err(ModelError::NoSuchView(nowhere)));
+    assert_eq!(
+        gpu.covisibility(nowhere),
+        Err(ModelError::NoSuchView(nowhere))
+    );
+    gpu.drop_view(ids[0]).unwrap();
+    assert_eq!(gpu.step(ids[0]), Err(ModelError::NoSuchView(ids[0])));
+    let small = random_target(&mut rng(1), &random_view(&mut rng(2), 5, 4));
+    let refused = gpu.add_view(world.views[0].0, small);
+    assert!(matches!(refused, Err(ModelError::TargetSize { .. })));
+    let mut ragged = seeds(&world.gaussians);
+    ragged.sparse_ids.pop();
+    assert_eq!(gpu.insert(&ragged), Err(ModelError::RaggedSeeds));
+}

@@ -1,1 +1,78 @@
-//! The same calls give the same bits.
+//! The same calls give the same bits: again, with accesses to memory checked or not, and with
+//! subgroup operations or without.
+
+use super::device::{device, open};
+use super::scenes::{random_target, seeds};
+use crate::cpu::tests::scenes::{random_gaussians, random_view, rng, to_f32};
+use crate::gpu::gpu_model::GpuModel;
+use crate::gpu::stage::StageOptions;
+use crate::{GaussianModel, Gaussians, GpuDevice, ModelSettings, PruneRule, StepStats};
+
+/// A short life of a map: two views, steps, new gaussians, pruning.
+fn live(device: GpuDevice) -> (Gaussians, Vec<StepStats>) {
+    let mut rng = rng(5);
+    let mut model = GpuModel::new(device, ModelSettings::default(), 1).unwrap();
+    let views = [(90, 60), (33, 70)].map(|(width, height)| random_view(&mut rng, width, height));
+    for round in 0..3 {
+        let view = views[round % 2];
+        let new = to_f32(&random_gaussians(&mut rng, &view, 1500));
+        model.insert(&seeds(&new)).unwrap();
+        let id = model
+            .add_view(view, random_target(&mut rng, &view))
+            .unwrap();
+        for _ in 0..4 {
+            model.step(id).unwrap();
+        }
+        model
+            .prune(&PruneRule {
+                min_opacity: 0.1,
+                max_scale_m: 1.0,
+                max_aspect: 10.0,
+            })
+            .unwrap();
+    }
+    let gaussians = model.gaussians().unwrap();
+    (gaussians, model.take_stats())
+}
+
+#[test]
+fn the_same_bits_every_time() {
+    let Some(device) = device() else {
+        return;
+    };
+    let first = live(device.clone());
+    assert_eq!(first.1.len(), 12);
+    for _ in 0..3 {
+        assert!(live(device.clone()) == first);
+    }
+}
+
+#[test]
+fn the_same_bits_by_other_scans_and_nearly_the_same_unchecked() {
+    let Some(device) = device() else {
+        return;
+    };
+    let (gaussians, stats) = live(device);
+    let by_other_scans = open(|_| StageOptions {
+        by_subgroups: false,
+        checked: true,
+    });
+    assert!(live(by_other_scans.unwrap()) == (gaussians.clone(), stats.clone()));
+    // Other code, whose multiply-adds a compiler may fuse elsewhere; but an access that the checks
+    // have caught would do more than round.
+    for by_subgroups in [false, true] {
+        let unchecked = open(|features| StageOptions {
+            by_subgroups: by_subgroups && features.contains(wgpu::Features::SUBGROUP),
+            checked: false,
+        });
+        let (unchecked, unchecked_stats) = live(unchecked.unwrap());
+        for (a, b) in unchecked_stats.iter().zip(&stats) {
+            assert!((a.loss / b.loss - 1.0).abs() <= 1e-5, "{a:?} {b:?}");
+            assert!(a.visible.abs_diff(b.visible) <= 1, "{a:?} {b:?}");
+        }
+        let means = |gaussians: &Gaussians| gaussians.means.as_flattened().to_vec();
+        let pairs = means(&unchecked).into_iter().zip(means(&gaussians));
+        let furthest = pairs.map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
+        assert!(furthest <= 1e-3, "{furthest}");
+    }
+}
