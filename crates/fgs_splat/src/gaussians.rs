@@ -88,6 +88,18 @@ pub(crate) fn retain<T>(entries: &mut Vec<T>, keep: &[bool]) {
     entries.retain(|_| keep.next().is_some_and(|keep| *keep));
 }
 
+/// An opacity from its logit.
+pub(crate) fn opacity<T: RealField + Copy>(logit: T) -> T {
+    // The exponential of a negative number cannot overflow.
+    let small = (-logit.abs()).exp();
+    let (one, sum) = (T::one(), T::one() + small);
+    if logit < T::zero() {
+        small / sum
+    } else {
+        one / sum
+    }
+}
+
 impl<T: Copy> Gaussians<T> {
     /// Appends all of `other`.
     pub fn extend(&mut self, other: &Self) {
@@ -135,15 +147,7 @@ impl<T: RealField + Copy> Gaussians<T> {
 
     /// Opacity of gaussian i, 0 to 1.
     pub fn opacity(&self, i: usize) -> T {
-        let logit = self.opacity_logits[i];
-        // The exponential of a negative number cannot overflow.
-        let small = (-logit.abs()).exp();
-        let (one, sum) = (T::one(), T::one() + small);
-        if logit < T::zero() {
-            small / sum
-        } else {
-            one / sum
-        }
+        opacity(self.opacity_logits[i])
     }
 
     /// Standard deviations of gaussian i along its axes, metres.

@@ -172,6 +172,14 @@ impl Buffers {
         self.bound.clear();
     }
 
+    /// Puts a buffer in place of another that stages know by no other name.
+    pub fn replace(&mut self, name: &'static str, buffer: wgpu::Buffer) {
+        self.table.insert(name, buffer);
+        let device = &self.device;
+        self.bound
+            .retain(|(stage, _), _| device.stage(stage).is_ok_and(|stage| !stage.uses(name)));
+    }
+
     /// Gives a buffer's memory back.
     pub fn remove(&mut self, name: &'static str) {
         self.table.remove(name);

@@ -15,7 +15,7 @@ use super::error::GpuError;
 use super::layout::{self, Count, Gaussian, NONE};
 use super::parameters::{from_device, sparse_from_device, to_device};
 use super::passes::{groups, loss_uniform, view_uniform};
-use super::readback::{Arrival, Landing, read};
+use super::readback::{Arrival, Landing, read, read_both};
 use super::recorder::{Groups, Recorder};
 use super::targets::ResidentTargets;
 use super::timer::StageTimer;
@@ -32,6 +32,15 @@ const MAX_IN_FLIGHT: usize = 4;
 const FIRST_ENTRIES: usize = 1 << 18;
 /// The set of gaussians that steps touched since the sparse map was last asked for.
 const TOUCHED_SET: u32 = 0;
+
+/// Least number of moved sparse gaussians that are fetched unasked.
+const MIN_EXPECTED_MOVES: usize = 1024;
+/// Prunes nothing.
+const KEEP_ALL: PruneRule = PruneRule {
+    min_opacity: 0.0,
+    max_scale_m: f32::MAX,
+    max_aspect: f32::MAX,
+};
 
 /// A [`GaussianModel`] on a graphics device.
 pub struct GpuModel {
@@ -51,6 +60,8 @@ pub struct GpuModel {
     repeated_steps: usize,
     /// Sparse gaussians pruned since they were last asked for.
     removed: Vec<SparseId>,
+    /// About how many sparse gaussians move between two times that they are asked for.
+    expected_moves: usize,
     /// The map as the host last knew it, for when the device is lost.
     last_known: Gaussians,
 }
@@ -132,6 +143,7 @@ impl GpuModel {
             stats: Vec::new(),
             repeated_steps: 0,
             removed: Vec::new(),
+            expected_moves: MIN_EXPECTED_MOVES,
             last_known: Gaussians::default(),
         })
     }
@@ -199,7 +211,7 @@ impl GpuModel {
         let loss = loss_uniform(&self.settings.loss, &training.target);
         let measured = self.targets.get(&self.device, id, &training.target)?;
         if self.bound_target != Some(id) {
-            self.buffers.set("measured", measured);
+            self.buffers.replace("measured", measured);
             self.bound_target = Some(id);
         }
         self.write("loss", bytemuck::bytes_of(&loss))?;
@@ -241,7 +253,8 @@ impl GpuModel {
         let Some(InFlight { view, counts }) = self.in_flight.pop_front() else {
             return Ok(());
         };
-        let (counts, landing) = counts.take_and_keep::<u32>(&self.device)?;
+        let (counts, landing) =
+            counts.take(&self.device, bytemuck::pod_collect_to_vec::<u8, u32>)?;
         self.landings.push(landing);
         let count = |place: Count| counts[place as usize];
         if count(Count::OUT_OF_RANGE) != 0 {
@@ -272,7 +285,7 @@ impl GpuModel {
         let steps = std::mem::take(&mut self.in_flight);
         let mut views = Vec::new();
         for InFlight { view, counts } in steps {
-            let (_, landing) = counts.take_and_keep::<u32>(&self.device)?;
+            let ((), landing) = counts.take(&self.device, |_| ())?;
             self.landings.push(landing);
             views.push(view);
         }
@@ -495,9 +508,11 @@ impl GaussianModel for GpuModel {
         self.buffers.make_room_for_image(width, height)?;
         self.run_to_the_end(&self.view_uniform(view), None)?;
         let pixels = width * height;
-        let shown: Vec<[f32; 4]> = read(&self.device, self.buffers.get("rendered")?, 0, pixels)?;
-        let states = self.buffers.get("pixel_states")?;
-        let states: Vec<layout::PixelState> = read(&self.device, states, 0, pixels)?;
+        let (shown, states): (Vec<[f32; 4]>, Vec<layout::PixelState>) = read_both(
+            &self.device,
+            (self.buffers.get("rendered")?, 0, pixels),
+            (self.buffers.get("pixel_states")?, 0, pixels),
+        )?;
         let mut rendered = Rendered::default();
         rendered.resize(width, height);
         for (color, [r, g, b, _]) in rendered.color.data_mut().iter_mut().zip(&shown) {
@@ -547,11 +562,7 @@ impl GaussianModel for GpuModel {
 
     fn take_sparse_changes(&mut self) -> Result<SparseChanges, ModelError> {
         self.finish_steps()?;
-        self.write_rule(&PruneRule {
-            min_opacity: 0.0,
-            max_scale_m: f32::MAX,
-            max_aspect: f32::MAX,
-        })?;
+        self.write_rule(&KEEP_ALL)?;
         let by_gaussian = groups(self.count);
         let set_bytes = 4 * self.buffers.set_words() as u64;
         let mut recorder = Recorder::new(&self.device, &mut self.buffers, None);
@@ -562,12 +573,24 @@ impl GaussianModel for GpuModel {
         let sets = recorder.buffers.get("visible_sets")?.clone();
         recorder.encoder().clear_buffer(&sets, 0, Some(set_bytes));
         recorder.submit();
-        let moved = self.read_kept()?;
-        let rows: Vec<Gaussian> = read(&self.device, self.buffers.get("gradients")?, 0, moved)?;
+        // How many there are is known only with them: about as many as last time.
+        let guess = self.expected_moves.min(self.count);
+        let (counts, rows) = (self.buffers.get("counts")?, self.buffers.get("gradients")?);
+        let (kept, mut moved): (Vec<u32>, Vec<Gaussian>) = read_both(
+            &self.device,
+            (counts, Count::KEPT as usize, 1),
+            (rows, 0, guess),
+        )?;
+        let kept = kept[0] as usize;
+        if kept > guess {
+            moved.extend(read::<Gaussian>(&self.device, rows, guess, kept - guess)?);
+        }
+        moved.truncate(kept);
+        self.expected_moves = kept + kept / 4 + MIN_EXPECTED_MOVES;
         let mut removed = std::mem::take(&mut self.removed);
         removed.sort_unstable();
         Ok(SparseChanges {
-            moved: sparse_from_device(&rows),
+            moved: sparse_from_device(&moved),
             removed,
         })
     }

@@ -2,6 +2,7 @@
 //! the other.
 
 use super::layout::{Gaussian, NONE};
+use crate::gaussians::opacity;
 use crate::model::{SparseGaussian, SparseId};
 use crate::{Gaussians, Seeds};
 
@@ -34,15 +35,14 @@ pub fn from_device(rows: &[Gaussian]) -> Gaussians {
 
 /// As the tracker takes them, by ascending id.
 pub fn sparse_from_device(rows: &[Gaussian]) -> Vec<SparseGaussian> {
-    let gaussians = from_device(rows);
-    let rows = rows.iter().enumerate();
     let mut sparse: Vec<SparseGaussian> = rows
-        .map(|(i, row)| SparseGaussian {
+        .iter()
+        .map(|row| SparseGaussian {
             id: SparseId(row.sparse_id),
             mean: row.mean,
             quat: row.quat,
             log_scales: row.log_scales,
-            opacity: gaussians.opacity(i),
+            opacity: opacity(row.opacity_logit),
         })
         .collect();
     sparse.sort_by_key(|gaussian| gaussian.id);

@@ -7,6 +7,9 @@ use bytemuck::Pod;
 use super::device::GpuDevice;
 use super::error::GpuError;
 
+/// Entries of a buffer: the first of them, and how many.
+pub type Part<'a> = (&'a wgpu::Buffer, usize, usize);
+
 /// Waits for all that was submitted and copies `len` entries, the first of them entry `first`.
 ///
 /// # Errors
@@ -17,15 +20,45 @@ pub fn read<T: Pod>(
     first: usize,
     len: usize,
 ) -> Result<Vec<T>, GpuError> {
-    if len == 0 {
-        return Ok(Vec::new());
+    let (entries, _) = read_both::<T, u8>(device, (buffer, first, len), (buffer, 0, 0))?;
+    Ok(entries)
+}
+
+/// As [`read`], parts of two buffers at once.
+///
+/// # Errors
+/// If the device fails.
+pub fn read_both<A: Pod, B: Pod>(
+    device: &GpuDevice,
+    (a, first_a, len_a): Part<'_>,
+    (b, first_b, len_b): Part<'_>,
+) -> Result<(Vec<A>, Vec<B>), GpuError> {
+    let [size_a, size_b] = [size_of::<A>(), size_of::<B>()];
+    let (bytes_a, bytes_b) = (len_a * size_a, len_b * size_b);
+    if bytes_a + bytes_b == 0 {
+        return Ok((Vec::new(), Vec::new()));
     }
-    let [start, bytes] = [first, len].map(|entries| (entries * size_of::<T>()) as u64);
-    let landing = Landing::new(device, bytes)?;
+    let landing = Landing::new(device, (bytes_a + bytes_b) as u64)?;
     let mut encoder = device.raw().create_command_encoder(&Default::default());
-    encoder.copy_buffer_to_buffer(buffer, start, &landing.buffer, 0, bytes);
+    for (buffer, first, at, bytes) in [
+        (a, first_a * size_a, 0, bytes_a),
+        (b, first_b * size_b, bytes_a, bytes_b),
+    ] {
+        if bytes > 0 {
+            let [first, at, bytes] = [first, at, bytes].map(|x| x as u64);
+            encoder.copy_buffer_to_buffer(buffer, first, &landing.buffer, at, bytes);
+        }
+    }
     let submission = device.queue().submit([encoder.finish()]);
-    landing.expect(submission).take(device)
+    let arrival = landing.expect(submission);
+    let (parts, _) = arrival.take(device, |bytes| {
+        let (a, b) = bytes.split_at(bytes_a);
+        (
+            bytemuck::pod_collect_to_vec(a),
+            bytemuck::pod_collect_to_vec(b),
+        )
+    })?;
+    Ok(parts)
 }
 
 /// Memory of the host that the device copies to.
@@ -72,19 +105,15 @@ impl Landing {
 }
 
 impl Arrival {
-    /// Waits for the copy.
+    /// Waits for the copy and hands its bytes over; gives the memory back to be used again.
     ///
     /// # Errors
     /// If the device fails.
-    pub fn take<T: Pod>(self, device: &GpuDevice) -> Result<Vec<T>, GpuError> {
-        self.take_and_keep(device).map(|(entries, _)| entries)
-    }
-
-    /// Waits for the copy; gives the memory back to be used again.
-    ///
-    /// # Errors
-    /// If the device fails.
-    pub fn take_and_keep<T: Pod>(self, device: &GpuDevice) -> Result<(Vec<T>, Landing), GpuError> {
+    pub fn take<R>(
+        self,
+        device: &GpuDevice,
+        use_bytes: impl FnOnce(&[u8]) -> R,
+    ) -> Result<(R, Landing), GpuError> {
         device.check()?;
         let poll = device.raw().poll(wgpu::PollType::Wait {
             submission_index: Some(self.submission),
@@ -99,9 +128,9 @@ impl Arrival {
         let bytes = buffer
             .get_mapped_range(0..self.landing.bytes)
             .map_err(|error| GpuError::Other(error.to_string()))?;
-        let entries = bytemuck::pod_collect_to_vec(&bytes);
+        let result = use_bytes(&bytes);
         drop(bytes);
         buffer.unmap();
-        Ok((entries, self.landing))
+        Ok((result, self.landing))
     }
 }

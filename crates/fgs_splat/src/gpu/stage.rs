@@ -255,6 +255,11 @@ impl Stage {
         Ok(stages)
     }
 
+    /// Whether its entry point uses a buffer of that name.
+    pub fn uses(&self, buffer: &str) -> bool {
+        self.bindings.iter().any(|(_, name)| name == buffer)
+    }
+
     /// The stage with its buffers, found by their names.
     pub fn bind<'a>(
         &self,
