@@ -3,43 +3,29 @@
 
 #![allow(clippy::unwrap_used)]
 
+mod common;
+
 use std::sync::OnceLock;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
-use fgs_geom::{Camera, FrameIndex, Image, RgbdFrame, Se3, View};
+use common::{Frames, config, frames, psnr_of_map_db, room, worst_position_error_m};
+use fgs_geom::{Camera, FrameIndex, RgbdFrame, Se3, View};
 use fgs_slam::{
-    Execution, MapperError, Observer, SlamConfig, SlamError, SlamEvent, SlamOutput, TrackingStatus,
+    Execution, MapperError, Observer, SlamError, SlamEvent, SlamOutput, TrackingStatus,
     model_settings, run,
 };
 use fgs_splat::{
     CpuModel, GaussianModel, Gaussians, GpuError, ModelError, PruneRule, Rendered, Seeds,
     SparseChanges, StepStats, Target, ViewId,
 };
-use fgs_synth::{SensorModel, Sequence, kinect_camera};
+use fgs_synth::Sequence;
 
 const EVERY_MODE: [Execution; 3] = [
     Execution::Lockstep,
     Execution::Parallel,
     Execution::Realtime,
 ];
-
-type Frames = Vec<Result<RgbdFrame, std::io::Error>>;
-
-fn room(frames: usize) -> Sequence {
-    let camera = kinect_camera(160, 120).unwrap();
-    Sequence::new(3, frames, camera, SensorModel::exact())
-}
-
-fn config() -> SlamConfig {
-    let mut config = SlamConfig::default();
-    config.mapping.iterations_per_frame = 2.0;
-    config
-}
-
-fn frames(sequence: &Sequence) -> Frames {
-    sequence.frames().map(Ok).collect()
-}
 
 fn go(frames: Frames, camera: &Camera, execution: Execution) -> Result<SlamOutput, SlamError> {
     go_observed(frames, camera, execution, &mut ())
@@ -83,28 +69,6 @@ fn go_on(threads: usize, sequence: &Sequence) -> SlamOutput {
         .install(|| go(frames(sequence), sequence.camera(), Execution::Lockstep).unwrap())
 }
 
-/// The largest distance between estimated and true camera positions, both seen from the first.
-fn worst_position_error_m(output: &SlamOutput, sequence: &Sequence) -> f64 {
-    let first_from_world = sequence.world_from_camera(0).inverse();
-    let errors = output.frames.iter().map(|frame| {
-        let truth = first_from_world * sequence.world_from_camera(frame.index.0);
-        let estimate = frame.world_from_camera.unwrap_or(Se3::identity());
-        (estimate.translation - truth.translation).norm()
-    });
-    errors.fold(0.0, f64::max)
-}
-
-fn psnr_db(render: &Image<[f32; 3]>, seen: &Image<[u8; 3]>) -> f64 {
-    let pairs = render
-        .data()
-        .as_flattened()
-        .iter()
-        .zip(seen.data().as_flattened());
-    let squares = pairs.map(|(a, b)| (f64::from(*a) - f64::from(*b) / 255.0).powi(2));
-    let count = 3 * render.data().len();
-    -10.0 * (squares.sum::<f64>() / count as f64).log10()
-}
-
 #[test]
 fn tracks_and_maps_a_room_in_every_mode() {
     let sequence = room(40);
@@ -122,21 +86,7 @@ fn tracks_and_maps_a_room_in_every_mode() {
         );
         assert!(output.gaussians.len() >= 1000);
 
-        let seen = sequence.frame(20);
-        let mut model = CpuModel::default();
-        let count = output.gaussians.len();
-        let seeds = Seeds {
-            gaussians: output.gaussians,
-            sparse_ids: vec![None; count],
-        };
-        model.insert(&seeds).unwrap();
-        let rendered = model
-            .render(&View {
-                camera: seen.camera,
-                world_from_camera: output.frames[20].world_from_camera.unwrap(),
-            })
-            .unwrap();
-        let psnr = psnr_db(&rendered.color, &seen.color);
+        let psnr = psnr_of_map_db(&output, &sequence, 20);
         assert!(psnr >= 24.0, "{execution:?}: {psnr} dB");
     }
 }

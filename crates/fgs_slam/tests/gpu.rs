@@ -1,0 +1,79 @@
+//! Whole runs on a graphics device, beside the CPU's. Skipped, and said so, where there is none.
+
+#![allow(clippy::unwrap_used)]
+
+mod common;
+
+use std::io::Write;
+use std::sync::atomic::AtomicBool;
+
+use common::{config, frames, psnr_of_map_db, room, worst_position_error_m};
+use fgs_slam::{Execution, SlamOutput, model_settings, run};
+use fgs_splat::{CpuModel, GaussianModel, GpuDevice, GpuError, GpuModel};
+use fgs_synth::Sequence;
+
+const FRAMES: usize = 12;
+
+fn go(sequence: &Sequence, execution: Execution, model: impl GaussianModel + Send) -> SlamOutput {
+    let stop = AtomicBool::new(false);
+    let frames = frames(sequence).into_iter();
+    let camera = sequence.camera();
+    run(frames, camera, &config(), execution, model, &mut (), &stop).unwrap()
+}
+
+#[test]
+fn a_run_on_a_device_repeats_itself_and_is_as_good_as_on_the_cpu() {
+    let device = match GpuDevice::find(true) {
+        Ok(device) => device,
+        Err(GpuError::NoAdapter(_)) => {
+            // Not through `eprintln`, which the test harness keeps to itself.
+            let _ = writeln!(
+                std::io::stderr(),
+                "no graphics device was found: 1 test skipped"
+            );
+            return;
+        }
+        Err(error) => panic!("{error}"),
+    };
+    let sequence = room(FRAMES);
+    let settings = model_settings(&config().mapping);
+    // Fewer views on the device than the run has.
+    let new_model = || GpuModel::new(device.clone(), settings.clone(), 1).unwrap();
+    let on_cpu = go(
+        &sequence,
+        Execution::Lockstep,
+        CpuModel::new(settings.clone()),
+    );
+    let on_gpu = go(&sequence, Execution::Lockstep, new_model());
+    assert!(on_gpu.failure.is_none());
+    assert_eq!(on_gpu.timings.steps, on_cpu.timings.steps);
+    assert!(on_gpu.device_bytes > 0 && on_cpu.device_bytes == 0);
+
+    let again = go(&sequence, Execution::Lockstep, new_model());
+    assert!(again.gaussians == on_gpu.gaussians);
+    let poses = |output: &SlamOutput| -> Vec<_> {
+        let frames = output.frames.iter();
+        frames.map(|frame| frame.world_from_camera).collect()
+    };
+    assert_eq!(poses(&again), poses(&on_gpu));
+
+    let error_m = |output| worst_position_error_m(output, &sequence);
+    let (cpu_error_m, gpu_error_m) = (error_m(&on_cpu), error_m(&on_gpu));
+    let slack_m = (0.1 * cpu_error_m).max(1e-4);
+    assert!(
+        gpu_error_m <= cpu_error_m + slack_m,
+        "{gpu_error_m} m, {cpu_error_m} m"
+    );
+    for index in [0, FRAMES / 2, FRAMES - 1] {
+        let psnr_db = |output| psnr_of_map_db(output, &sequence, index);
+        let (on_cpu, on_gpu) = (psnr_db(&on_cpu), psnr_db(&on_gpu));
+        assert!(
+            (on_gpu - on_cpu).abs() <= 0.05,
+            "frame {index}: {on_gpu} dB, {on_cpu} dB"
+        );
+    }
+
+    let in_parallel = go(&sequence, Execution::Parallel, new_model());
+    assert!(in_parallel.failure.is_none());
+    assert!(error_m(&in_parallel) <= cpu_error_m + 1e-3);
+}
