@@ -27,6 +27,7 @@ var<workgroup> batch_slots: array<u32, BATCH>;
 var<workgroup> weights: array<f32, BATCH * STRIDE>;
 var<workgroup> d_exponents: array<f32, BATCH * STRIDE>;
 var<workgroup> d_rendered: array<vec4<f32>, TILE_PIXELS>;
+var<workgroup> min_n_rays: array<f32, TILE_PIXELS>;
 var<workgroup> partial_sums: array<array<vec4<f32>, TILE_PIXELS>, 4>;
 var<workgroup> max_used: atomic<u32>;
 
@@ -51,6 +52,7 @@ fn backward(
         d_own_alpha = d_alpha[at];
     }
     d_rendered[thread] = d;
+    min_n_rays[thread] = min_n_ray;
     atomicMax(&max_used, state.used);
     workgroupBarrier();
     let used = workgroupUniformLoad(&max_used);
@@ -140,8 +142,7 @@ fn add_up(tile: vec2<u32>, entry: u32, quarter: u32, thread: u32) {
         taken = 1.0;
         let offset = vec2(pixel % u32(TILE), pixel / u32(TILE));
         let d = origin + vec2<f32>(offset);
-        let min_n_ray = min_n_ray_at(vec2<f32>(tile * u32(TILE) + offset));
-        let sample = sample_of(splat, d, min_n_ray);
+        let sample = sample_of(splat, d, min_n_rays[pixel]);
         let d_here = d_rendered[pixel];
         color += weight * d_here.xyz;
         let d_exponent = d_exponents[entry * STRIDE + pixel];

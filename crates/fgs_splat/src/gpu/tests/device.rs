@@ -22,10 +22,8 @@ pub fn device() -> Option<GpuDevice> {
     if device.is_none() {
         let skipped = SKIPPED.fetch_add(1, Ordering::Relaxed) + 1;
         // Not through `eprintln`, which the test harness keeps to itself.
-        let _ = writeln!(
-            std::io::stderr(),
-            "no graphics device was found: {skipped} tests skipped so far"
-        );
+        let message = format!("no graphics device was found: {skipped} tests skipped so far\n");
+        let _ = std::io::stderr().write_all(message.as_bytes());
     }
     device.clone()
 }
