@@ -1,6 +1,6 @@
 //! All shaders are valid, and Rust's structures lie as the shaders' do. Needs no device.
 
-use wgpu::naga;
+use naga::back::{hlsl, msl};
 
 use crate::gpu::layout::layouts;
 use crate::gpu::stage::SHADER_FILES;
@@ -44,4 +44,31 @@ fn structures_lie_as_the_shaders_have_them() {
         }
     }
     assert!(compared >= layouts().len());
+}
+
+#[test]
+fn metal_and_direct_x_have_words_for_every_shader() {
+    for file in SHADER_FILES {
+        for by_subgroups in [false, true] {
+            let (module, info) = file.parse(by_subgroups).unwrap();
+            let options = msl::Options {
+                lang_version: (2, 4),
+                fake_missing_bindings: true,
+                ..msl::Options::default()
+            };
+            let metal = msl::write_string(&module, &info, &options, &Default::default());
+            assert!(metal.is_ok(), "{}: {metal:?}", file.name);
+
+            let options = hlsl::Options {
+                shader_model: hlsl::ShaderModel::V6_0,
+                fake_missing_bindings: true,
+                ..hlsl::Options::default()
+            };
+            let mut text = String::new();
+            let pipeline_options = hlsl::PipelineOptions::default();
+            let written = hlsl::Writer::new(&mut text, &options, &pipeline_options)
+                .write(&module, &info, None);
+            assert!(written.is_ok(), "{}: {written:?}", file.name);
+        }
+    }
 }
