@@ -1,50 +1,14 @@
-//! `fgs bench`: how long each stage takes on this machine, beside the least it could take.
-//!
-//! Each stage is checked before it is timed. Its floor is the time this machine needs to move the
-//! bytes the stage must touch once or to do its operations, whichever is longer, at the rates
-//! measured in the same run.
-
-mod decoding;
-mod input;
-mod machine;
-mod mapping;
-mod stage;
-mod tracking;
-
-use std::path::PathBuf;
+//! Every stage of the system on the CPU, with one thread and with two.
 
 use anyhow::Context;
-use clap::Args;
 use serde::Serialize;
 
+use super::input::Input;
+use super::machine::Rates;
+use super::stage::{Stage, Times};
+use super::{decoding, mapping, tracking};
 use crate::console::Console;
 use crate::failure::EXIT_DONE;
-use input::Input;
-use machine::Rates;
-use stage::{Stage, Times};
-
-/// Time every stage of the system on this machine
-///
-/// Prints, for one and two threads, the median and the best of several runs in milliseconds, and
-/// how far that is from what memory and arithmetic of this machine allow.
-#[derive(Debug, Args)]
-#[command(after_long_help = "\
-Examples:
-  fgs bench                          synthetic rooms of 640x480 and 1200x680
-  fgs bench recordings/desk --json   frames of a recording with known poses, decoding included")]
-pub struct BenchArgs {
-    /// Recordings with known poses, in place of the synthetic rooms
-    recordings: Vec<PathBuf>,
-    /// First frame of a recording to use
-    #[arg(long, value_name = "N", default_value_t = 0)]
-    first: usize,
-    /// Camera file for recordings that have none
-    #[arg(long, value_name = "FILE")]
-    camera: Option<PathBuf>,
-    /// One JSON object a line instead of text
-    #[arg(long)]
-    json: bool,
-}
 
 /// One line of the table.
 #[derive(Serialize)]
@@ -58,12 +22,11 @@ struct Row<'a> {
     floor_ms: f64,
 }
 
-/// Executes `fgs bench`.
+/// Times all inputs, mapping with each of the numbers of gaussians.
 ///
 /// # Errors
-/// If a recording cannot be read, has no known poses, or a stage gives a wrong result.
-pub fn run(args: &BenchArgs) -> anyhow::Result<u8> {
-    let console = Console::new(args.json);
+/// If a stage gives a wrong result.
+pub fn run(inputs: &[Input], numbers: &[usize], console: Console) -> anyhow::Result<u8> {
     let pools = [1, 2].map(|threads| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build();
         pool.with_context(|| format!("cannot start {threads} threads"))
@@ -84,7 +47,7 @@ pub fn run(args: &BenchArgs) -> anyhow::Result<u8> {
         "\n{:<10} {:<28} {:<44} threads  median ms    best ms   floor ms",
         "input", "stage", "work"
     ));
-    for input in inputs(args)? {
+    for input in inputs {
         let mut bench = |stage: Stage<'_>| -> anyhow::Result<()> {
             let Stage {
                 name,
@@ -120,23 +83,11 @@ pub fn run(args: &BenchArgs) -> anyhow::Result<u8> {
             }
             Ok(())
         };
-        decoding::bench(&input, &mut bench)?;
-        tracking::bench(&input, console, &mut bench)?;
-        mapping::bench(&input, &mut bench)?;
+        decoding::bench(input, &mut bench)?;
+        tracking::bench(input, console, &mut bench)?;
+        for &count in numbers {
+            mapping::bench(input, count, &mut bench)?;
+        }
     }
     Ok(EXIT_DONE)
-}
-
-fn inputs(args: &BenchArgs) -> anyhow::Result<Vec<Input>> {
-    if args.recordings.is_empty() {
-        return Ok(vec![
-            Input::synthetic(640, 480)?,
-            Input::synthetic(1200, 680)?,
-        ]);
-    }
-    let camera = args.camera.as_deref();
-    args.recordings
-        .iter()
-        .map(|path| Input::recorded(path, args.first, camera))
-        .collect()
 }
