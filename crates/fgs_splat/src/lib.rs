@@ -19,7 +19,7 @@ pub use adam::{Adam, AdamError, LearningRates};
 pub use cpu::{Rasterizer, Real, RenderPass};
 pub use cpu_model::CpuModel;
 pub use gaussians::{Gaussian, Gaussians, SH0_FACTOR};
-pub use gpu::{GpuDevice, GpuError, GpuModel, TimedStep};
+pub use gpu::{GpuDevice, GpuError, GpuModel, Rates, TimedStep};
 pub use losses::{ImageLoss, LossError, LossSettings, Target, photometric_loss, scale_regularizer};
 pub use model::{
     GaussianModel, ModelError, ModelSettings, PruneRule, Seeds, SparseChanges, SparseGaussian,

@@ -7,6 +7,7 @@ use fgs_data::Dataset;
 use fgs_geom::{RgbdFrame, Se3};
 use fgs_synth::{SensorModel, Sequence, kinect_camera};
 
+use crate::failure::UsageError;
 use crate::recording;
 use crate::settings::Settings;
 
@@ -28,7 +29,8 @@ pub struct Input {
 impl Input {
     /// Of a synthetic room seen with exact depth.
     pub fn synthetic(width: usize, height: usize) -> anyhow::Result<Self> {
-        let camera = kinect_camera(width, height)?;
+        let camera =
+            kinect_camera(width, height).map_err(|error| UsageError(format!("--size: {error}")))?;
         let sequence = Sequence::new(SEED, SYNTHETIC_FRAMES, camera, SensorModel::exact());
         Ok(Self {
             name: format!("{width}x{height}"),

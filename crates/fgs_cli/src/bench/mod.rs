@@ -2,39 +2,56 @@
 //!
 //! Each stage is checked before it is timed. Its floor is the time this machine needs to move the
 //! bytes the stage must touch once or to do its operations, whichever is longer, at the rates
-//! measured in the same run.
+//! measured in the same run. `cpu` times the whole system on the CPU, `gpu` the optimisation step on
+//! a graphics device.
 
+mod cpu;
 mod decoding;
+mod gpu;
+mod gpu_floors;
 mod input;
 mod machine;
 mod mapping;
+mod scene;
 mod stage;
 mod tracking;
 
 use std::path::PathBuf;
 
-use anyhow::Context;
-use clap::Args;
-use serde::Serialize;
+use clap::{Args, ValueEnum};
 
 use crate::console::Console;
-use crate::failure::EXIT_DONE;
+use crate::image_size::ImageSize;
 use input::Input;
-use machine::Rates;
-use stage::{Stage, Times};
 
 /// Time every stage of the system on this machine
 ///
-/// Prints, for one and two threads, the median and the best of several runs in milliseconds, and
-/// how far that is from what memory and arithmetic of this machine allow.
+/// Prints the median and the best of several runs in milliseconds, and how far that is from what
+/// memory and arithmetic of this machine allow: on the CPU for one and two threads; on a graphics
+/// device each stage of an optimisation step by the device's clock, and whole steps by the wall
+/// clock.
 #[derive(Debug, Args)]
 #[command(after_long_help = "\
 Examples:
   fgs bench                          synthetic rooms of 640x480 and 1200x680
-  fgs bench recordings/desk --json   frames of a recording with known poses, decoding included")]
+  fgs bench recordings/desk --json   frames of a recording with known poses, decoding included
+  fgs bench --backend gpu            steps of 100k, 500k and 2M gaussians at 1200x680
+  fgs bench --backend gpu --size 320x240 --gaussians 20000   small enough for a device in software")]
 pub struct BenchArgs {
     /// Recordings with known poses, in place of the synthetic rooms
     recordings: Vec<PathBuf>,
+    /// What is timed
+    #[arg(long, value_enum, default_value_t)]
+    backend: Timed,
+    /// Gaussians of each scene to optimise [default: 100000; on a graphics device also 500000 and
+    /// 2000000]
+    #[arg(long, value_name = "N,...", value_delimiter = ',',
+        value_parser = clap::value_parser!(u32).range(1..=16_000_000))]
+    gaussians: Vec<u32>,
+    /// Size of the synthetic room's images [default: 640x480 and 1200x680; on a graphics device the
+    /// latter]
+    #[arg(long, value_name = "WxH", conflicts_with = "recordings")]
+    size: Option<ImageSize>,
     /// First frame of a recording to use
     #[arg(long, value_name = "N", default_value_t = 0)]
     first: usize,
@@ -46,93 +63,50 @@ pub struct BenchArgs {
     json: bool,
 }
 
-/// One line of the table.
-#[derive(Serialize)]
-struct Row<'a> {
-    input: &'a str,
-    stage: &'a str,
-    work: &'a str,
-    threads: usize,
-    median_ms: f64,
-    best_ms: f64,
-    floor_ms: f64,
+/// `--backend`.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
+enum Timed {
+    /// The whole system on the CPU
+    #[default]
+    Cpu,
+    /// The optimisation step on a graphics device, if need be one in software
+    Gpu,
 }
 
 /// Executes `fgs bench`.
 ///
 /// # Errors
-/// If a recording cannot be read, has no known poses, or a stage gives a wrong result.
+/// If a recording cannot be read, has no known poses, there is no device, or a stage gives a wrong
+/// result.
 pub fn run(args: &BenchArgs) -> anyhow::Result<u8> {
     let console = Console::new(args.json);
-    let pools = [1, 2].map(|threads| {
-        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build();
-        pool.with_context(|| format!("cannot start {threads} threads"))
-    });
-    let [one, two] = pools;
-    let pools = [one?, two?];
-    let rates = [Rates::measure(&pools[0]), Rates::measure(&pools[1])];
-    for (pool, rates) in pools.iter().zip(&rates) {
-        console.say(format!(
-            "{} thread(s): {:.1} GB/s, {:.0} GFLOP/s",
-            pool.current_num_threads(),
-            1e-9 * rates.bytes_per_sec,
-            1e-9 * rates.flops_per_sec,
-        ));
-        console.event("machine", rates);
+    match args.backend {
+        Timed::Cpu => cpu::run(
+            &inputs(args, &[(640, 480), (1200, 680)])?,
+            &numbers(args, &[100_000]),
+            console,
+        ),
+        Timed::Gpu => gpu::run(
+            &inputs(args, &[(1200, 680)])?,
+            &numbers(args, &[100_000, 500_000, 2_000_000]),
+            console,
+        ),
     }
-    console.say(format!(
-        "\n{:<10} {:<28} {:<44} threads  median ms    best ms   floor ms",
-        "input", "stage", "work"
-    ));
-    for input in inputs(args)? {
-        let mut bench = |stage: Stage<'_>| -> anyhow::Result<()> {
-            let Stage {
-                name,
-                work,
-                bytes,
-                flops,
-                mut check,
-                mut run,
-            } = stage;
-            check().with_context(|| format!("{name} on {} is wrong", input.name))?;
-            for (pool, rates) in pools.iter().zip(&rates) {
-                let Times { median_ms, best_ms } = pool.install(|| Times::measure(&mut *run));
-                let row = Row {
-                    input: &input.name,
-                    stage: name,
-                    work: &work,
-                    threads: pool.current_num_threads(),
-                    median_ms,
-                    best_ms,
-                    floor_ms: rates.floor_ms(bytes, flops),
-                };
-                console.say(format!(
-                    "{:<10} {:<28} {:<44} {:>7} {:>10.3} {:>10.3} {:>10.3}",
-                    row.input,
-                    row.stage,
-                    row.work,
-                    row.threads,
-                    row.median_ms,
-                    row.best_ms,
-                    row.floor_ms
-                ));
-                console.event("stage", &row);
-            }
-            Ok(())
-        };
-        decoding::bench(&input, &mut bench)?;
-        tracking::bench(&input, console, &mut bench)?;
-        mapping::bench(&input, &mut bench)?;
-    }
-    Ok(EXIT_DONE)
 }
 
-fn inputs(args: &BenchArgs) -> anyhow::Result<Vec<Input>> {
+fn numbers(args: &BenchArgs, default: &[u32]) -> Vec<usize> {
+    let numbers = match args.gaussians.as_slice() {
+        [] => default,
+        given => given,
+    };
+    numbers.iter().map(|number| *number as usize).collect()
+}
+
+fn inputs(args: &BenchArgs, default: &[(usize, usize)]) -> anyhow::Result<Vec<Input>> {
     if args.recordings.is_empty() {
-        return Ok(vec![
-            Input::synthetic(640, 480)?,
-            Input::synthetic(1200, 680)?,
-        ]);
+        let given = args.size.map(|size| (size.width, size.height));
+        let sizes = given.as_ref().map_or(default, std::slice::from_ref);
+        return sizes.iter().map(|&(w, h)| Input::synthetic(w, h)).collect();
     }
     let camera = args.camera.as_deref();
     args.recordings

@@ -3,7 +3,7 @@
 use std::time::Instant;
 
 /// Runs of a stage, after one that warms up.
-const RUNS: usize = 15;
+pub const RUNS: usize = 15;
 
 /// Work that is repeated and timed.
 pub struct Stage<'a> {
@@ -22,25 +22,30 @@ pub struct Stage<'a> {
 /// Checks a stage, times it and prints the times.
 pub type Bench<'a> = dyn FnMut(Stage<'_>) -> anyhow::Result<()> + 'a;
 
-/// Wall times of a stage.
+/// Times of a stage.
+#[derive(Clone, Copy)]
 pub struct Times {
     pub median_ms: f64,
     pub best_ms: f64,
 }
 
 impl Times {
+    /// Wall times of [`RUNS`] runs.
     pub fn measure(run: &mut (dyn FnMut() + Send)) -> Self {
         run();
-        let mut times: Vec<f64> = (0..RUNS)
-            .map(|_| {
-                let start = Instant::now();
-                run();
-                1e3 * start.elapsed().as_secs_f64()
-            })
-            .collect();
+        let times = (0..RUNS).map(|_| {
+            let start = Instant::now();
+            run();
+            1e3 * start.elapsed().as_secs_f64()
+        });
+        Self::of(times.collect())
+    }
+
+    /// Of at least one run, milliseconds each.
+    pub fn of(mut times: Vec<f64>) -> Self {
         times.sort_by(f64::total_cmp);
         Self {
-            median_ms: times[RUNS / 2],
+            median_ms: times[times.len() / 2],
             best_ms: times[0],
         }
     }

@@ -6,6 +6,7 @@ use std::fmt::Write;
 
 use bytemuck::{Pod, Zeroable};
 
+use super::rates::{COPIED_ROWS, MULTIPLY_ADD_ROUNDS};
 use crate::adam::{BETA_1, BETA_2, DECAY_STEPS, EPSILON};
 use crate::cpu::{SLACK_PX, WHITEN_SCALE};
 use crate::gaussians::SH0_FACTOR;
@@ -303,6 +304,8 @@ pub fn preamble() -> String {
         ("TAPS", TAPS as u32),
         ("NONE", NONE),
         ("MAX_STEPS", u32::MAX - 1),
+        ("COPIED_ROWS", COPIED_ROWS),
+        ("MULTIPLY_ADD_ROUNDS", MULTIPLY_ADD_ROUNDS),
     ] {
         let _ = writeln!(source, "const {name}: u32 = {value}u;");
     }

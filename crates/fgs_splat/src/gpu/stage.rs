@@ -145,6 +145,11 @@ pub const SHADER_FILES: &[ShaderFile] = &[
         parts: &[WORKGROUP_SCAN, include_str!("shaders/covisibility.wgsl")],
         entry_points: &["covisibility"],
     },
+    ShaderFile {
+        name: "rates",
+        parts: &[include_str!("shaders/rates.wgsl")],
+        entry_points: &["copy_rows", "multiply_add"],
+    },
 ];
 
 impl ShaderFile {

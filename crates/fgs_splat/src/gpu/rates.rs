@@ -1,0 +1,98 @@
+//! What a device's memory and arithmetic can do, for floors to compare measured times with.
+//!
+//! By the wall clock, which every device has: each kernel is repeated in one submission until that
+//! takes so long that its start and end do not count.
+
+use std::time::Instant;
+
+use super::device::GpuDevice;
+use super::error::GpuError;
+use super::layout::GROUP;
+
+/// Rows of 16 bytes that a thread copies.
+pub const COPIED_ROWS: u32 = 4;
+/// Rounds of 32 multiply-adds each.
+pub const MULTIPLY_ADD_ROUNDS: u32 = 256;
+/// Bytes that a workgroup copies.
+const COPIED_BYTES: u64 = 16 * (COPIED_ROWS * GROUP) as u64;
+/// Bytes copied at a time, if the device binds so much: far more than any cache holds.
+const COPY_BYTES: u64 = 512 << 20;
+/// Workgroups of multiply-adds; what they write fits the smallest buffer that a device must bind.
+const MULTIPLY_ADD_GROUPS: u32 = 1 << 13;
+/// A submission that takes so long is the last.
+const LONG_SECS: f64 = 0.25;
+
+/// Best rates of a device.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Rates {
+    /// Bytes read plus bytes written.
+    pub bytes_per_sec: f64,
+    /// On `f32`, a multiply-add counting two.
+    pub flops_per_sec: f64,
+}
+
+impl GpuDevice {
+    /// Measures the device's rates, which takes a second or two and up to a gigabyte of its memory.
+    ///
+    /// # Errors
+    /// If the device fails or its memory does not suffice.
+    pub fn measure_rates(&self) -> Result<Rates, GpuError> {
+        let limits = self.raw().limits();
+        let limit = limits
+            .max_storage_buffer_binding_size
+            .min(limits.max_buffer_size);
+        let groups = COPY_BYTES.min(limit) / COPIED_BYTES;
+        let bytes = groups * COPIED_BYTES;
+        let make = |what| self.buffer(what, bytes, wgpu::BufferUsages::STORAGE);
+        let (source, copied) = (make("what is copied")?, make("copies")?);
+
+        let by_stage = |name, groups| {
+            let stage = self.stage(name)?;
+            let buffers = stage.bind(self.raw(), |name| match name {
+                "source" => &source,
+                _ => &copied,
+            });
+            self.best_secs(|encoder| {
+                let mut pass = encoder.begin_compute_pass(&Default::default());
+                pass.set_pipeline(&stage.pipeline);
+                pass.set_bind_group(0, &buffers, &[]);
+                pass.dispatch_workgroups(groups, 1, 1);
+            })
+        };
+        // Which of the two is faster depends on the driver.
+        let copy_secs = by_stage("copy_rows", groups as u32)?.min(self.best_secs(|encoder| {
+            encoder.copy_buffer_to_buffer(&source, 0, &copied, 0, bytes);
+        })?);
+        let multiply_add_secs = by_stage("multiply_add", MULTIPLY_ADD_GROUPS)?;
+        let multiply_adds =
+            32.0 * f64::from(MULTIPLY_ADD_ROUNDS) * f64::from(MULTIPLY_ADD_GROUPS * GROUP);
+        Ok(Rates {
+            bytes_per_sec: 2.0 * bytes as f64 / copy_secs,
+            flops_per_sec: 2.0 * multiply_adds / multiply_add_secs,
+        })
+    }
+
+    /// Seconds that one of many repetitions takes at best.
+    fn best_secs(&self, record: impl Fn(&mut wgpu::CommandEncoder)) -> Result<f64, GpuError> {
+        let mut best = f64::INFINITY;
+        let mut repetitions = 1_u32;
+        loop {
+            let mut encoder = self.raw().create_command_encoder(&Default::default());
+            for _ in 0..repetitions {
+                record(&mut encoder);
+            }
+            let commands = encoder.finish();
+            let start = Instant::now();
+            self.queue().submit([commands]);
+            let poll = self.raw().poll(wgpu::PollType::wait_indefinitely());
+            let secs = start.elapsed().as_secs_f64();
+            self.check()?;
+            poll.map_err(|error| GpuError::Lost(error.to_string()))?;
+            best = best.min(secs / f64::from(repetitions));
+            if secs >= LONG_SECS {
+                return Ok(best);
+            }
+            repetitions *= 2;
+        }
+    }
+}
