@@ -8,7 +8,8 @@ use std::time::Instant;
 
 use anyhow::Context;
 use fgs_splat::{
-    GaussianModel, GpuDevice, GpuModel, ModelError, ModelSettings, Rates, TimedStep, ViewId,
+    GaussianModel, GpuDevice, GpuError, GpuModel, ModelError, ModelSettings, Rates, TimedStep,
+    ViewId,
 };
 use serde::Serialize;
 
@@ -49,7 +50,8 @@ struct Size<'a> {
     device_bytes: u64,
 }
 
-/// Times a step with each of the numbers of gaussians on all inputs.
+/// Times a step with each of the numbers of gaussians on all inputs. Scenes that the device cannot
+/// hold are left out.
 ///
 /// # Errors
 /// If there is no device, it fails, or steps do not lower the loss.
@@ -78,8 +80,12 @@ pub fn run(inputs: &[Input], numbers: &[usize], console: Console) -> anyhow::Res
     ));
     for input in inputs {
         for &count in numbers {
-            bench(input, count, &device, &rates, console)
-                .with_context(|| format!("{count} gaussians on {}", input.name))?;
+            let outcome = bench(input, count, &device, &rates, console)
+                .with_context(|| format!("{count} gaussians on {}", input.name));
+            match outcome {
+                Err(error) if is_too_large(&error) => console.say(format!("left out: {error:#}")),
+                outcome => outcome?,
+            }
         }
     }
     Ok(EXIT_DONE)
@@ -196,6 +202,16 @@ fn bench(
     ));
     console.event("scene", &size);
     Ok(())
+}
+
+/// Whether a scene is more than the device can hold, which says nothing of the others.
+fn is_too_large(error: &anyhow::Error) -> bool {
+    matches!(
+        error.downcast_ref(),
+        Some(ModelError::Device(
+            GpuError::TooLarge { .. } | GpuError::OutOfMemory(_)
+        ))
+    )
 }
 
 /// Takes that many steps and waits for them.
