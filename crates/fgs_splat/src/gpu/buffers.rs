@@ -36,6 +36,7 @@ const KEPT: Group = &[
 const PER_GAUSSIAN: Group = &[
     ("splats", size_of::<Splat>()),
     ("gradients", size_of::<Gradient>()),
+    ("in_view", WORD),
     ("gaussian_of", WORD),
     ("depth_keys", WORD),
     ("depth_keys_sorted", WORD),

@@ -108,8 +108,9 @@ impl Recorder<'_> {
         self.run("place_touches", Groups::Fixed(1, 1))?;
         self.run("write_touches", by_visible)?;
         let tiles = (view.tile_columns * view.tile_rows) as usize;
-        // An even number of passes: then the result lies where the keys were.
-        let passes = if tiles <= 1 << 16 { 2 } else { 4 };
+        // Keys go up to the number of tiles. An even number of passes: then the result lies where
+        // the keys were.
+        let passes = if tiles < 1 << 16 { 2 } else { 4 };
         let tile_passes = &TILE_PASSES[..passes];
         self.sort(tile_passes, Dispatch::SORT_ENTRIES, ["tile_keys", "slots"])?;
         self.run("find_ranges", groups(tiles))

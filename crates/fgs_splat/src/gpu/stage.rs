@@ -47,7 +47,6 @@ pub const SHADER_FILES: &[ShaderFile] = &[
             WORKGROUP_SCAN,
             PROJECTION,
             BOUNDS,
-            IN_VIEW,
             include_str!("shaders/project.wgsl"),
         ],
         entry_points: &["project"],
