@@ -214,7 +214,7 @@ impl GpuModel {
         self.device.check()?;
         let (view, loss) = self.look_at(id)?;
         let view = layout::View {
-            touched_start: TOUCHED_SET,
+            touched_start: TOUCHED_SET * self.buffers.set_words() as u32,
             ..view
         };
         self.write("view", bytemuck::bytes_of(&view))?;
@@ -431,7 +431,10 @@ impl GaussianModel for GpuModel {
         let id = ViewId(self.next_view);
         self.next_view += 1;
         self.views.insert(id, TrainingView { view, target, set });
-        self.see_again(id)?;
+        if let Err(error) = self.see_again(id) {
+            self.drop_view(id)?;
+            return Err(error);
+        }
         Ok(id)
     }
 
@@ -449,9 +452,9 @@ impl GaussianModel for GpuModel {
         if !seeds.gaussians.has_len(added) {
             return Err(ModelError::RaggedSeeds);
         }
-        self.last_known.extend(&seeds.gaussians);
         let count = self.count + added;
         self.buffers.make_room_for_gaussians(count, self.count)?;
+        self.last_known.extend(&seeds.gaussians);
         let row = size_of::<Gaussian>() as u64;
         let (start, bytes) = (row * self.count as u64, row * added as u64);
         let mut encoder = self
@@ -582,8 +585,10 @@ impl GaussianModel for GpuModel {
     }
 
     fn into_gaussians(mut self) -> Gaussians {
-        match self.gaussians() {
-            Ok(gaussians) => gaussians,
+        // What a step has found wrong is no reason to lose what the others did.
+        let _ = self.finish_steps();
+        match self.read_gaussians() {
+            Ok(rows) => from_device(&rows),
             Err(_) => self.last_known,
         }
     }
