@@ -10,11 +10,11 @@ use super::pipeline_cache::PipelineCacheFile;
 use super::stage::{Stage, StageOptions};
 
 /// Storage buffers that the stage with most of them binds.
-const STORAGE_BUFFERS: u32 = 8;
+pub(super) const STORAGE_BUFFERS: u32 = 8;
 /// Bytes of memory that a workgroup shares.
-const WORKGROUP_BYTES: u32 = 16 << 10;
+pub(super) const WORKGROUP_BYTES: u32 = 16 << 10;
 /// Threads of a workgroup.
-const WORKGROUP_THREADS: u32 = super::layout::GROUP;
+pub(super) const WORKGROUP_THREADS: u32 = super::layout::GROUP;
 /// Bytes of a buffer that a stage can see: half a million gaussians.
 const BINDING_BYTES: u64 = 32 << 20;
 
