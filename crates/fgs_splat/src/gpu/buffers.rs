@@ -36,16 +36,16 @@ const KEPT: Group = &[
 const PER_GAUSSIAN: Group = &[
     ("splats", size_of::<Splat>()),
     ("gradients", size_of::<Gradient>()),
+    ("in_view", WORD),
     ("gaussian_of", WORD),
     ("depth_keys", WORD),
     ("depth_keys_sorted", WORD),
     ("order", WORD),
     ("order_sorted", WORD),
     ("touches", 2 * WORD),
-    // One for each workgroup would do.
-    ("block_sums", WORD),
-    ("regularizer_sums", WORD),
 ];
+/// By workgroup that goes over gaussians or splats.
+const PER_GROUP: Group = &[("block_sums", WORD), ("regularizer_sums", WORD)];
 /// By entry of the tiles' lists.
 const PER_ENTRY: Group = &[
     ("tile_keys", WORD),
@@ -157,7 +157,8 @@ impl Buffers {
 
     /// All bytes, views' targets not counted.
     pub fn bytes(&self) -> u64 {
-        self.table.values().map(wgpu::Buffer::size).sum()
+        let own = self.table.iter().filter(|(name, _)| **name != "measured");
+        own.map(|(_, buffer)| buffer.size()).sum()
     }
 
     /// The buffer of that name.
@@ -205,13 +206,12 @@ impl Buffers {
     ) -> Result<&wgpu::BindGroup, GpuError> {
         let key = (stage, variant);
         if !self.bound.contains_key(&key) {
-            let missing = self.get("view")?;
             let resolve = |name: &str| {
                 let alias = aliases.iter().find(|(from, _)| *from == name);
                 let name = alias.map_or(name, |(_, to)| to);
-                self.table.get(name).unwrap_or(missing)
+                self.get(name)
             };
-            let group = self.device.stage(stage)?.bind(self.device.raw(), resolve);
+            let group = self.device.stage(stage)?.bind(self.device.raw(), resolve)?;
             self.bound.insert(key, group);
         }
         Ok(&self.bound[&key])
@@ -226,10 +226,10 @@ impl Buffers {
             return Ok(());
         }
         // Whole words of sets, and whole workgroups.
-        let room = self
-            .grown("gaussians", size_of::<Gaussian>(), count, self.gaussians)
-            .next_multiple_of(GROUP as usize);
-        let fresh = self.make_all(KEPT.iter().chain(PER_GAUSSIAN), room)?;
+        let room = self.grown(size_of::<Gaussian>(), GROUP, count, self.gaussians)?;
+        let mut fresh = self.make_all(KEPT.iter().chain(PER_GAUSSIAN), room)?;
+        fresh.extend(self.make_all(PER_GROUP.iter(), room / GROUP as usize)?);
+        fresh.extend(self.make_digit_counts(room.max(self.entries))?);
         let sets = self.new_sets(self.sets, room / 32)?;
         let mut encoder = self.encoder();
         for (name, bytes) in KEPT {
@@ -250,7 +250,7 @@ impl Buffers {
         self.table.insert("visible_sets", sets);
         self.gaussians = room;
         self.bound.clear();
-        self.make_room_for_digits()
+        Ok(())
     }
 
     /// Room for that many entries of the tiles' lists.
@@ -261,12 +261,13 @@ impl Buffers {
         if count <= self.entries {
             return Ok(());
         }
-        let room = self.grown("entries", 4 * VEC4, count, self.entries);
-        let fresh = self.make_all(PER_ENTRY.iter(), room)?;
+        let room = self.grown(4 * VEC4, SORT_BLOCK, count, self.entries)?;
+        let mut fresh = self.make_all(PER_ENTRY.iter(), room)?;
+        fresh.extend(self.make_digit_counts(room.max(self.gaussians))?);
         self.table.extend(fresh);
         self.entries = room;
         self.bound.clear();
-        self.make_room_for_digits()
+        Ok(())
     }
 
     /// Room for images of that size.
@@ -308,14 +309,14 @@ impl Buffers {
 
     fn make_sets(&mut self, sets: usize, used: usize) -> Result<(), GpuError> {
         let fresh = self.new_sets(sets, self.set_words())?;
+        self.make("overlaps", WORD * sets, BufferUsages::STORAGE)?;
         if let (Some(old), true) = (self.table.get("visible_sets"), used > 0) {
             let mut encoder = self.encoder();
             let bytes = (WORD * used * self.set_words()) as u64;
             encoder.copy_buffer_to_buffer(old, 0, &fresh, 0, bytes);
             self.device.queue().submit([encoder.finish()]);
         }
-        self.table.insert("visible_sets", fresh);
-        self.make("overlaps", WORD * sets, BufferUsages::STORAGE)?;
+        self.set("visible_sets", fresh);
         self.sets = sets;
         Ok(())
     }
@@ -326,24 +327,41 @@ impl Buffers {
             .buffer("sets of visible gaussians", bytes, BufferUsages::STORAGE)
     }
 
-    fn make_room_for_digits(&mut self) -> Result<(), GpuError> {
-        let blocks = self
-            .gaussians
-            .max(self.entries)
-            .div_ceil(SORT_BLOCK as usize);
-        let bytes = WORD * GROUP as usize * blocks;
-        self.make("digit_counts", bytes, BufferUsages::STORAGE)
+    /// For sorting so many keys.
+    fn make_digit_counts(
+        &self,
+        keys: usize,
+    ) -> Result<BTreeMap<&'static str, wgpu::Buffer>, GpuError> {
+        let blocks = keys.div_ceil(SORT_BLOCK as usize);
+        let per_block = [("digit_counts", WORD * GROUP as usize)];
+        self.make_all(per_block.iter(), blocks)
     }
 
-    /// Half as much again as there was, if the device binds so much, and no less than needed.
-    fn grown(&self, what: &'static str, bytes: usize, needed: usize, before: usize) -> usize {
-        debug_assert!(!what.is_empty());
+    /// Half as much again as there was, if the device binds so much, and no less than needed: whole
+    /// workgroups of `group` items of so many bytes.
+    ///
+    /// # Errors
+    /// If more workgroups are needed than the device dispatches.
+    fn grown(
+        &self,
+        bytes: usize,
+        group: u32,
+        needed: usize,
+        before: usize,
+    ) -> Result<usize, GpuError> {
         let limits = self.device.raw().limits();
+        let (group, groups) = (group as usize, limits.max_compute_workgroups_per_dimension);
+        let most = group.saturating_mul(groups as usize);
+        if needed > most {
+            let message = format!("it works on no more than {most} items, and there are {needed}");
+            return Err(GpuError::Other(message));
+        }
         let limit = limits
             .max_storage_buffer_binding_size
             .min(limits.max_buffer_size);
-        let most = usize::try_from(limit).unwrap_or(usize::MAX) / bytes / GROUP as usize;
-        (before + before / 2).min(most * GROUP as usize).max(needed)
+        let bound = usize::try_from(limit).unwrap_or(usize::MAX) / bytes / group * group;
+        let room = (before + before / 2).min(bound).min(most).max(needed);
+        Ok(room.next_multiple_of(group))
     }
 
     fn make_all<'a>(

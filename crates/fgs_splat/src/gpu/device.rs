@@ -10,13 +10,14 @@ use super::pipeline_cache::PipelineCacheFile;
 use super::stage::{Stage, StageOptions};
 
 /// Storage buffers that the stage with most of them binds.
-const STORAGE_BUFFERS: u32 = 8;
+pub(super) const STORAGE_BUFFERS: u32 = 8;
 /// Bytes of memory that a workgroup shares.
-const WORKGROUP_BYTES: u32 = 16 << 10;
+pub(super) const WORKGROUP_BYTES: u32 = 16 << 10;
 /// Threads of a workgroup.
-const WORKGROUP_THREADS: u32 = super::layout::GROUP;
-/// Bytes of a buffer that a stage can see: half a million gaussians.
-const BINDING_BYTES: u64 = 32 << 20;
+pub(super) const WORKGROUP_THREADS: u32 = super::layout::GROUP;
+/// Bytes of a buffer that a stage can see: two million gaussians or entries of the tiles' lists, as
+/// much as every implementation of WebGPU offers.
+const BINDING_BYTES: u64 = 128 << 20;
 
 /// A device that computes, with everything compiled for it. Clones share it.
 #[derive(Clone)]
@@ -80,10 +81,23 @@ impl GpuDevice {
             wgpu::DeviceType::Other => 3,
             wgpu::DeviceType::Cpu => 4,
         });
-        let Some(adapter) = adapters.first() else {
-            let detail = if any { "only one in software" } else { "" };
-            return Err(GpuError::NoAdapter(detail.into()));
-        };
+        let detail = if any { "only one in software" } else { "" };
+        let mut refusal = GpuError::NoAdapter(detail.into());
+        for (place, adapter) in adapters.iter().enumerate() {
+            match Self::of_adapter(adapter, &options) {
+                Ok(device) => return Ok(device),
+                // Of several the fastest one's reason counts.
+                Err(error) if place == 0 => refusal = error,
+                Err(_) => {}
+            }
+        }
+        Err(refusal)
+    }
+
+    fn of_adapter(
+        adapter: &wgpu::Adapter,
+        options: &impl Fn(wgpu::Features) -> StageOptions,
+    ) -> Result<Self, GpuError> {
         let info = adapter.get_info();
         let name = format!("{} ({})", info.name, info.backend);
         check_limits(&name, &adapter.limits())?;

@@ -19,12 +19,15 @@ mod rates;
 mod readback;
 mod recorder;
 mod stage;
+mod steps;
 mod targets;
 #[cfg(test)]
 mod tests;
 mod timer;
+mod whole_map;
 
 pub use device::GpuDevice;
 pub use error::GpuError;
-pub use gpu_model::{GpuModel, TimedStep};
+pub use gpu_model::GpuModel;
 pub use rates::Rates;
+pub use steps::TimedStep;

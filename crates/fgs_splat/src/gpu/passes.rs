@@ -4,7 +4,7 @@ use fgs_geom::View as CameraView;
 
 use super::buffers::{DEPTH_PASSES, TILE_PASSES};
 use super::error::GpuError;
-use super::layout::{self, DISPATCH_WORDS, Dispatch, GROUP, LOSS_SIDE, NONE, TILE};
+use super::layout::{self, Dispatch, GROUP, LOSS_SIDE, NONE, TILE};
 use super::recorder::{Groups, Recorder};
 use crate::cpu::{Frustum, ScreenCamera};
 use crate::losses::{DEPTH_UNIT_M, LossSettings, Target};
@@ -108,8 +108,9 @@ impl Recorder<'_> {
         self.run("place_touches", Groups::Fixed(1, 1))?;
         self.run("write_touches", by_visible)?;
         let tiles = (view.tile_columns * view.tile_rows) as usize;
-        // An even number of passes: then the result lies where the keys were.
-        let passes = if tiles <= 1 << 16 { 2 } else { 4 };
+        // Keys go up to the number of tiles. An even number of passes: then the result lies where
+        // the keys were.
+        let passes = if tiles < 1 << 16 { 2 } else { 4 };
         let tile_passes = &TILE_PASSES[..passes];
         self.sort(tile_passes, Dispatch::SORT_ENTRIES, ["tile_keys", "slots"])?;
         self.run("find_ranges", groups(tiles))
@@ -136,7 +137,7 @@ impl Recorder<'_> {
                 ("keys_out", to[0]),
                 ("values_out", to[1]),
             ];
-            let variant = number + DISPATCH_WORDS as usize * 10 * blocks as usize;
+            let variant = DEPTH_PASSES.len() * blocks as usize + number;
             self.run_as("count_digits", variant, &aliases, Groups::Counted(blocks))?;
             self.run_as("place_digits", variant, &aliases, Groups::Fixed(GROUP, 1))?;
             self.run_as("move_keys", variant, &aliases, Groups::Counted(blocks))?;

@@ -49,9 +49,9 @@ impl GpuDevice {
         let by_stage = |name, groups| {
             let stage = self.stage(name)?;
             let buffers = stage.bind(self.raw(), |name| match name {
-                "source" => &source,
-                _ => &copied,
-            });
+                "source" => Ok(&source),
+                _ => Ok(&copied),
+            })?;
             self.best_secs(|encoder| {
                 let mut pass = encoder.begin_compute_pass(&Default::default());
                 pass.set_pipeline(&stage.pipeline);

@@ -6,6 +6,7 @@
 
 use wgpu::naga;
 
+use super::error::GpuError;
 use super::layout::preamble;
 
 /// A file of entry points, and the files of functions that it needs, in the order of their use.
@@ -47,7 +48,6 @@ pub const SHADER_FILES: &[ShaderFile] = &[
             WORKGROUP_SCAN,
             PROJECTION,
             BOUNDS,
-            IN_VIEW,
             include_str!("shaders/project.wgsl"),
         ],
         entry_points: &["project"],
@@ -266,24 +266,28 @@ impl Stage {
     }
 
     /// The stage with its buffers, found by their names.
+    ///
+    /// # Errors
+    /// If one is not found.
     pub fn bind<'a>(
         &self,
         device: &wgpu::Device,
-        buffer: impl Fn(&str) -> &'a wgpu::Buffer,
-    ) -> wgpu::BindGroup {
-        let entries: Vec<wgpu::BindGroupEntry<'_>> = self
-            .bindings
-            .iter()
-            .map(|(binding, name)| wgpu::BindGroupEntry {
-                binding: *binding,
-                resource: buffer(name).as_entire_binding(),
+        buffer: impl Fn(&str) -> Result<&'a wgpu::Buffer, GpuError>,
+    ) -> Result<wgpu::BindGroup, GpuError> {
+        let bindings = self.bindings.iter();
+        let entries: Result<Vec<wgpu::BindGroupEntry<'_>>, GpuError> = bindings
+            .map(|(binding, name)| {
+                Ok(wgpu::BindGroupEntry {
+                    binding: *binding,
+                    resource: buffer(name)?.as_entire_binding(),
+                })
             })
             .collect();
-        device.create_bind_group(&wgpu::BindGroupDescriptor {
+        Ok(device.create_bind_group(&wgpu::BindGroupDescriptor {
             label: Some(self.name),
             layout: &self.layout,
-            entries: &entries,
-        })
+            entries: &entries?,
+        }))
     }
 }
 

@@ -13,11 +13,10 @@
 // Per workgroup, the regulariser's sum.
 @group(0) @binding(8) var<storage, read_write> regularizer_sums: array<f32>;
 
-// Whether all of them, and their squares, are finite. Compares bits: a shader may take it that
-// there is no NaN.
+// Whether all of them, and their squares, are finite: below 2^64. Compares bits: a shader may take
+// it that there is no NaN or infinity, also as a result.
 fn are_usable(v: vec4<f32>) -> bool {
-    let exponents = bitcast<vec4<u32>>(v * v) & vec4(0x7f800000u);
-    return all(exponents != vec4(0x7f800000u));
+    return all((bitcast<vec4<u32>>(v) & vec4(0x7fffffffu)) < vec4(0x5f800000u));
 }
 
 @compute @workgroup_size(GROUP)

@@ -2,8 +2,15 @@
 
 const BLOCKS_PER_THREAD: u32 = 8u;
 
-// Replaces each of the first `blocks` sums by the sum of those before it; returns the sum of all.
+// Whether the sum of all is no number of 32 bits.
+var<workgroup> wrapped: atomic<u32>;
+
+// Replaces each of the first `blocks` sums by the sum of those before it; returns the sum of all,
+// or the largest number if that is less.
 fn scan_block_sums(blocks: u32, thread: u32) -> u32 {
+    if thread == 0u {
+        atomicStore(&wrapped, 0u);
+    }
     var before = 0u;
     for (var start = 0u; start < blocks; start += GROUP * BLOCKS_PER_THREAD) {
         let first = start + thread * BLOCKS_PER_THREAD;
@@ -14,6 +21,9 @@ fn scan_block_sums(blocks: u32, thread: u32) -> u32 {
         }
         let sums = workgroup_scan(sum, thread);
         var next = before + sums.x;
+        if next + sum < next {
+            atomicStore(&wrapped, 1u);
+        }
         for (var block = first; block < end; block += 1u) {
             let own = block_sums[block];
             block_sums[block] = next;
@@ -21,5 +31,6 @@ fn scan_block_sums(blocks: u32, thread: u32) -> u32 {
         }
         before += sums.y;
     }
-    return before;
+    workgroupBarrier();
+    return select(before, 0xffffffffu, atomicLoad(&wrapped) != 0u);
 }

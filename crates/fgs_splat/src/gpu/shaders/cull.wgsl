@@ -1,13 +1,16 @@
 // Counts the gaussians in view, and forgets what the view showed before.
 //
 // Two passes over all gaussians, this and `project.wgsl`, keep what is in view in the order of the
-// gaussians: places come from prefix sums, not from a race.
+// gaussians: places come from prefix sums, not from a race. What is in view is decided here alone:
+// another pipeline's compiler may round the same function otherwise.
 
 @group(0) @binding(1) var<storage, read> gaussians: array<Gaussian>;
 @group(0) @binding(2) var<storage, read_write> block_sums: array<u32>;
 @group(0) @binding(3) var<storage, read_write> counts: array<u32>;
 @group(0) @binding(4) var<storage, read_write> dispatches: array<u32>;
 @group(0) @binding(5) var<storage, read_write> visible_sets: array<u32>;
+// Per gaussian, 1 if it is in view.
+@group(0) @binding(6) var<storage, read_write> in_view: array<u32>;
 
 @compute @workgroup_size(GROUP)
 fn count_in_view(
@@ -19,6 +22,7 @@ fn count_in_view(
     var seen = 0u;
     if index < view.count {
         seen = u32(is_in_view(gaussians[index]));
+        in_view[index] = seen;
         if index % 32u == 0u && view.set_start != NONE {
             visible_sets[view.set_start + index / 32u] = 0u;
         }

@@ -63,7 +63,6 @@ fn losses(
         for (var tap = 0u; tap < TAPS; tap += 1u) {
             blurred += WINDOW[tap] * rows[thread + tap * SIDE];
         }
-        workgroupBarrier();
         if valid {
             let difference = shown[channel] - target_color[channel];
             let sum = shown[channel] + target_color[channel];

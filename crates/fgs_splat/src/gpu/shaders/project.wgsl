@@ -10,6 +10,7 @@
 @group(0) @binding(6) var<storage, read_write> order: array<u32>;
 // Per splat, its first slot (written later) and their number.
 @group(0) @binding(7) var<storage, read_write> touches: array<vec2<u32>>;
+@group(0) @binding(8) var<storage, read> in_view: array<u32>;
 
 @compute @workgroup_size(GROUP)
 fn project(
@@ -20,7 +21,7 @@ fn project(
     let index = id.x;
     var seen = false;
     if index < view.count {
-        seen = is_in_view(gaussians[index]);
+        seen = in_view[index] == 1u;
     }
     let place = block_sums[block.x] + workgroup_scan(u32(seen), thread).x;
     if !seen {

@@ -18,8 +18,8 @@ fn project_vjp(
     @builtin(local_invocation_index) thread: u32,
 ) {
     let index = id.x;
-    let is_void = atomicLoad(&counts[OVERFLOWED]) != 0u
-        || atomicLoad(&counts[OUT_OF_RANGE]) != 0u;
+    // Where a rendered value is out of range the gradients mean nothing, but what is seen does.
+    let is_void = atomicLoad(&counts[OVERFLOWED]) != 0u;
     var touched = 0u;
     if index < atomicLoad(&counts[VISIBLE]) && !is_void {
         var total = array(vec4(0.0), vec4(0.0), vec4(0.0), vec4(0.0));

@@ -37,7 +37,6 @@ fn ssim(
         for (var tap = 0u; tap < TAPS; tap += 1u) {
             m += WINDOW[tap] * rows[thread + tap * SIDE];
         }
-        workgroupBarrier();
         // Rounding may take a variance below zero.
         let md = m.x;
         let ms = m.y;

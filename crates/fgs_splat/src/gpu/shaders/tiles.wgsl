@@ -69,21 +69,30 @@ fn write_touches(
         index = order[id.x];
         number = touches[index].y;
     }
-    var slot = block_sums[block.x] + workgroup_scan(number, thread).x;
+    let first = block_sums[block.x] + workgroup_scan(number, thread).x;
     if !is_splat || counts[ENTRIES] == 0u {
         return;
     }
-    touches[index].x = slot;
+    // `project` counted with the same functions, but its compiler may have rounded them otherwise:
+    // nothing is written beyond what was counted, and what is left over lies in no tile.
+    let end = first + number;
+    var slot = first;
     let splat = splats[index];
     let support = support_of(splat);
     for (var row = support.first_row / TILE; row <= support.last_row / TILE; row += 1) {
         let columns = touched_columns(splat, support, row);
-        for (var column = columns.x; column < columns.y; column += 1u) {
+        for (var column = columns.x; column < columns.y && slot < end; column += 1u) {
             tile_keys[slot] = u32(row) * view.tile_columns + column;
             slots[slot] = slot;
             slot_splats[slot] = index;
             slot += 1u;
         }
+    }
+    touches[index] = vec2(first, slot - first);
+    for (; slot < end; slot += 1u) {
+        tile_keys[slot] = view.tile_columns * view.tile_rows;
+        slots[slot] = slot;
+        slot_splats[slot] = index;
     }
 }
 

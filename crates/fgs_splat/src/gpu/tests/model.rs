@@ -8,9 +8,11 @@ use super::device::{device, open};
 use super::scenes::{Scene, model_of, random_target, scenes, seeds};
 use crate::cpu::tests::scenes::{random_gaussians, random_view, rng, to_f32};
 use crate::gpu::gpu_model::GpuModel;
+use crate::gpu::layout::Count;
+use crate::gpu::readback::read;
 use crate::gpu::stage::StageOptions;
 use crate::{
-    CpuModel, GaussianModel, Gaussians, GpuError, LossError, LossSettings, ModelError,
+    CpuModel, Gaussian, GaussianModel, Gaussians, GpuError, LossError, LossSettings, ModelError,
     ModelSettings, PruneRule, Target, ViewId,
 };
 
@@ -53,15 +55,15 @@ fn fill(model: &mut impl GaussianModel, world: &World) -> Vec<ViewId> {
         .collect()
 }
 
-/// Steps, insertion and pruning by turns.
+/// Steps, insertion and pruning by turns; at last insertion where pruning has left something.
 fn work(model: &mut impl GaussianModel, world: &World, ids: &[ViewId]) {
     for round in 0..12 {
         model.step(ids[round % ids.len()]).unwrap();
-        if round == 4 {
-            model.insert(&seeds(&world.gaussians)).unwrap();
-        }
-        if round == 8 {
+        if round == 7 {
             model.prune(&RULE).unwrap();
+        }
+        if round == 4 || round == 7 {
+            model.insert(&seeds(&world.gaussians)).unwrap();
         }
     }
 }
@@ -71,19 +73,20 @@ fn models(count: usize, settings: &ModelSettings) -> Option<(World, GpuModel, Cp
     Some((world(count), gpu, CpuModel::new(settings.clone())))
 }
 
-/// Largest differences of the parameters, in the order of the fields.
-fn differences(a: &Gaussians, b: &Gaussians) -> [f32; 5] {
-    let largest = |a: &[f32], b: &[f32]| {
+/// Differences of the parameters, ascending, in the order of the fields.
+fn differences(a: &Gaussians, b: &Gaussians) -> [Vec<f32>; 5] {
+    let sorted = |a: &[f32], b: &[f32]| {
         assert_eq!(a.len(), b.len());
-        let errors = a.iter().zip(b).map(|(a, b)| (a - b).abs());
-        errors.fold(0.0, f32::max)
+        let mut errors: Vec<f32> = a.iter().zip(b).map(|(a, b)| (a - b).abs()).collect();
+        errors.sort_by(f32::total_cmp);
+        errors
     };
     [
-        largest(a.means.as_flattened(), b.means.as_flattened()),
-        largest(a.quats.as_flattened(), b.quats.as_flattened()),
-        largest(a.log_scales.as_flattened(), b.log_scales.as_flattened()),
-        largest(&a.opacity_logits, &b.opacity_logits),
-        largest(a.sh.as_flattened(), b.sh.as_flattened()),
+        sorted(a.means.as_flattened(), b.means.as_flattened()),
+        sorted(a.quats.as_flattened(), b.quats.as_flattened()),
+        sorted(a.log_scales.as_flattened(), b.log_scales.as_flattened()),
+        sorted(&a.opacity_logits, &b.opacity_logits),
+        sorted(a.sh.as_flattened(), b.sh.as_flattened()),
     ]
 }
 
@@ -195,10 +198,9 @@ fn many_steps_with_insertion_and_pruning_stay_with_the_cpu() {
     work(&mut cpu, &world, &ids);
     let lens = (gpu.len(), cpu.len());
     assert_eq!(lens.0, lens.1);
-    assert!(lens.0 < 2 * world.gaussians.len());
+    assert!(lens.0 < 3 * world.gaussians.len());
     let (on_gpu, on_cpu) = (gpu.gaussians().unwrap(), cpu.gaussians().unwrap());
-    // Twelve steps of the learning rates, some of them in directions that rounding chose.
-    let differences = differences(&on_gpu, &on_cpu);
+    // Twelve steps of the learning rates, few of them in directions that rounding chose.
     let rates = ModelSettings::default().learning_rates;
     let rates = [
         rates.means,
@@ -207,8 +209,10 @@ fn many_steps_with_insertion_and_pruning_stay_with_the_cpu() {
         rates.opacity_logits,
         rates.sh,
     ];
-    for (difference, rate) in differences.into_iter().zip(rates) {
-        assert!(difference <= 12.0 * rate, "{differences:?}");
+    for (differences, rate) in differences(&on_gpu, &on_cpu).into_iter().zip(rates) {
+        let (most, largest) = (differences.len() * 98 / 100, differences.len() - 1);
+        let [most, largest] = [most, largest].map(|i| differences[i] / rate);
+        assert!(most <= 0.05 && largest <= 12.0, "{most} {largest}");
     }
     let losses = |stats: Vec<crate::StepStats>| -> Vec<f32> {
         stats.into_iter().map(|step| step.loss).collect()
@@ -283,6 +287,53 @@ fn covisibility_is_the_cpus_through_pruning_and_growing() {
         }
         assert!(on_cpu.iter().any(|(_, share)| (0.02..1.0).contains(share)));
     }
+    // No set shares more with it than its own: all of it.
+    let counts = gpu.see_again(new).unwrap();
+    gpu.covisibility(new).unwrap();
+    let overlaps = gpu.buffers.get("overlaps").unwrap();
+    let overlaps: Vec<u32> = read(&gpu.device, overlaps, 0, gpu.buffers.sets()).unwrap();
+    assert_eq!(
+        overlaps.iter().max(),
+        Some(&counts[Count::TOUCHED as usize])
+    );
+}
+
+#[test]
+fn what_was_seen_stays_known_when_buffers_grow() {
+    let Some((world, mut gpu, mut cpu)) = models(45, &ModelSettings::default()) else {
+        return;
+    };
+    let ids = fill(&mut gpu, &world);
+    fill(&mut cpu, &world);
+    gpu.step(ids[1]).unwrap();
+    cpu.step(ids[1]).unwrap();
+    let before: Vec<_> = ids.iter().map(|id| gpu.covisibility(*id)).collect();
+    gpu.insert(&seeds(&Gaussians::zeros(20_000))).unwrap();
+    let after: Vec<_> = ids.iter().map(|id| gpu.covisibility(*id)).collect();
+    assert_eq!(before, after);
+    let moved = gpu.take_sparse_changes().unwrap().moved.len();
+    let expected = cpu.take_sparse_changes().unwrap().moved.len();
+    assert!(expected > 3 && moved.abs_diff(expected) <= 1);
+}
+
+#[test]
+fn a_render_stays_as_it_is_when_buffers_grow() {
+    let Some((world, mut gpu, _)) = models(60, &ModelSettings::default()) else {
+        return;
+    };
+    let mut large = world.gaussians;
+    for log_scales in &mut large.log_scales {
+        *log_scales = [1.0; 3];
+    }
+    gpu.insert(&seeds(&large)).unwrap();
+    let view = View {
+        camera: random_view(&mut rng(6), 256, 256).camera,
+        ..world.views[0].0
+    };
+    let before = gpu.render(&view).unwrap();
+    // The lists are longer than the gaussians are many.
+    gpu.insert(&seeds(&Gaussians::zeros(20_000))).unwrap();
+    assert!(gpu.render(&view).unwrap() == before);
 }
 
 #[test]
@@ -313,15 +364,20 @@ fn without_room_steps_are_repeated_and_nothing_is_lost() {
             .map(|(view, target)| model.add_view(*view, target.clone()).unwrap())
             .collect();
         model.shrink_entries(entries);
+        model.step(ids[0]).unwrap();
+        let moved = model.take_sparse_changes().unwrap().moved;
+        model.shrink_entries(entries);
         work(&mut model, &world, &ids);
         let gaussians = model.gaussians().unwrap();
-        (gaussians, model.take_stats(), model.repeated_steps())
+        let stats = model.take_stats();
+        (gaussians, moved, stats, model.repeated_steps())
     };
-    let (roomy, roomy_stats, repeated) = run(1 << 16);
+    let (roomy, roomy_moved, roomy_stats, repeated) = run(1 << 16);
     assert_eq!(repeated, 0);
-    let (tight, tight_stats, repeated) = run(300);
-    assert!(repeated >= 1);
+    let (tight, tight_moved, tight_stats, repeated) = run(300);
+    assert!(repeated >= 2);
     assert_eq!(tight_stats, roomy_stats);
+    assert_eq!(tight_moved, roomy_moved);
     assert!(tight == roomy);
 }
 
@@ -335,6 +391,10 @@ fn a_render_out_of_range_says_where() {
     }
     let ids = fill(&mut gpu, &world);
     fill(&mut cpu, &world);
+    // What is seen is known all the same.
+    let seen = gpu.covisibility(ids[0]).unwrap();
+    let share = cpu.covisibility(ids[0]).unwrap()[0].1;
+    assert!(share > 0.5 && (seen[0].1 - share).abs() <= 0.1);
     let wanted = cpu.step(ids[0]);
     let Err(ModelError::Loss(LossError::OutOfRange { u, v, .. })) = wanted else {
         panic!("{wanted:?}");
@@ -347,6 +407,171 @@ fn a_render_out_of_range_says_where() {
         "{found:?}"
     );
     assert!(gpu.gaussians().unwrap() == before);
+    assert_eq!(gpu.covisibility(ids[0]).unwrap(), seen);
+}
+
+#[test]
+fn gradients_that_are_no_use_leave_everything_as_it_is() {
+    let mut settings = ModelSettings::default();
+    settings.loss.l1_weight = 1e30;
+    let Some((world, mut gpu, mut cpu)) = models(100, &settings) else {
+        return;
+    };
+    let ids = fill(&mut gpu, &world);
+    fill(&mut cpu, &world);
+    for id in [ids[0], ids[1]] {
+        gpu.step(id).unwrap();
+        cpu.step(id).unwrap();
+    }
+    assert!(gpu.gaussians().unwrap() == world.gaussians);
+    let skipped = |model: &mut dyn FnMut() -> Vec<crate::StepStats>| -> Vec<usize> {
+        let stats = model().into_iter();
+        stats.map(|step| step.skipped_gradients).collect()
+    };
+    let on_gpu = skipped(&mut || gpu.take_stats());
+    let on_cpu = skipped(&mut || cpu.take_stats());
+    assert_eq!(on_gpu.len(), 2);
+    for (a, b) in on_gpu.into_iter().zip(on_cpu) {
+        assert!(b > 20 && a.abs_diff(b) <= 2, "{a} {b}");
+    }
+}
+
+#[test]
+fn a_step_sees_no_more_what_is_hidden_now() {
+    let Some((world, mut gpu, mut cpu)) = models(300, &ModelSettings::default()) else {
+        return;
+    };
+    let ids = fill(&mut gpu, &world);
+    fill(&mut cpu, &world);
+    let view = &world.views[0].0;
+    let centre = view.camera.unproject(30.0, 22.0, 0.3);
+    let mut wall = Gaussians::<f64>::default();
+    for _ in 0..4 {
+        wall.push(&Gaussian {
+            mean: view.world_from_camera.transform(&centre).into(),
+            quat: [1.0, 0.0, 0.0, 0.0],
+            scales: [5.0; 3],
+            opacity: 0.999,
+            rgb: [0.5; 3],
+        });
+    }
+    let wall = seeds(&to_f32(&wall));
+    gpu.insert(&wall).unwrap();
+    cpu.insert(&wall).unwrap();
+    gpu.step(ids[0]).unwrap();
+    cpu.step(ids[0]).unwrap();
+    for &id in &ids {
+        let (on_gpu, on_cpu) = (gpu.covisibility(id).unwrap(), cpu.covisibility(id).unwrap());
+        for ((_, a), (_, b)) in on_gpu.iter().zip(&on_cpu) {
+            assert!((a - b).abs() <= 0.02, "{on_gpu:?} {on_cpu:?}");
+        }
+    }
+    assert!(cpu.covisibility(ids[0]).unwrap()[0].1 == 0.0);
+}
+
+#[test]
+fn lists_are_repeated_only_if_they_do_not_fit() {
+    let Some((world, mut gpu, _)) = models(200, &ModelSettings::default()) else {
+        return;
+    };
+    let ids = fill(&mut gpu, &world);
+    for missing in [0, 1] {
+        let counts = gpu.see_again(ids[0]).unwrap();
+        gpu.shrink_entries(counts[Count::ENTRIES as usize] as usize - missing);
+        gpu.step(ids[0]).unwrap();
+        gpu.finish_steps().unwrap();
+        assert_eq!(gpu.repeated_steps(), missing);
+    }
+}
+
+#[test]
+fn dropped_views_leave_their_sets_to_others() {
+    let Some((world, mut gpu, _)) = models(10, &ModelSettings::default()) else {
+        return;
+    };
+    fill(&mut gpu, &world);
+    let sets = gpu.buffers.sets();
+    let bytes = gpu.device_bytes();
+    let (view, target) = &world.views[0];
+    for _ in 0..2 * sets {
+        let id = gpu.add_view(*view, target.clone()).unwrap();
+        gpu.drop_view(id).unwrap();
+    }
+    assert_eq!(gpu.buffers.sets(), sets);
+    assert!(gpu.device_bytes() <= bytes);
+}
+
+#[test]
+fn half_a_million_gaussians_stay_in_order() {
+    let Some(device) = device() else {
+        return;
+    };
+    let mut gpu = GpuModel::new(device, ModelSettings::default(), 1).unwrap();
+    // More workgroups than one scan goes over at a time.
+    let count = (1 << 19) + 3000;
+    let mut many = Gaussians::zeros(count);
+    for i in 0..count {
+        many.means[i] = [i as f32, 0.0, 0.0];
+        many.log_scales[i] = [-3.0; 3];
+        many.opacity_logits[i] = if i % 7 == 0 { -8.0 } else { 2.0 };
+    }
+    gpu.insert(&seeds(&many)).unwrap();
+    let kept: Vec<f32> = (0..count)
+        .filter(|i| i % 7 != 0)
+        .map(|i| i as f32)
+        .collect();
+    assert_eq!(gpu.prune(&RULE).unwrap(), count - kept.len());
+    let means = gpu.gaussians().unwrap().means;
+    assert!(means.iter().map(|mean| mean[0]).eq(kept));
+}
+
+#[test]
+fn a_step_that_went_wrong_takes_nothing_from_the_others() {
+    let Some((world, mut gpu, _)) = models(50, &ModelSettings::default()) else {
+        return;
+    };
+    let ids = fill(&mut gpu, &world);
+    gpu.step(ids[0]).unwrap();
+    let mut glaring = world.gaussians.clone();
+    glaring.sh.fill([1e6; 3]);
+    gpu.insert(&seeds(&glaring)).unwrap();
+    let before = gpu.gaussians().unwrap();
+    assert!(before.means[..50] != world.gaussians.means);
+    gpu.step(ids[0]).unwrap();
+    assert!(gpu.into_gaussians() == before);
+}
+
+#[test]
+fn lists_longer_than_any_number_are_refused() {
+    let Some(device) = device() else {
+        return;
+    };
+    let mut gpu = GpuModel::new(device, ModelSettings::default(), 1).unwrap();
+    let view = random_view(&mut rng(3), 1024, 1024);
+    let mean = view
+        .world_from_camera
+        .transform(&view.camera.unproject(500.0, 500.0, 1.0));
+    // 2^18 gaussians in each of 2^14 tiles: as a number of 32 bits that would be none.
+    let mut everywhere = Gaussians::<f64>::default();
+    everywhere.push(&Gaussian {
+        mean: mean.into(),
+        quat: [1.0, 0.0, 0.0, 0.0],
+        scales: [5.0; 3],
+        opacity: 0.9,
+        rgb: [0.5; 3],
+    });
+    for _ in 0..18 {
+        everywhere.extend(&everywhere.clone());
+    }
+    gpu.insert(&seeds(&to_f32(&everywhere))).unwrap();
+    let refused = gpu.render(&view);
+    assert!(
+        matches!(refused, Err(ModelError::Device(_))),
+        "{:?}",
+        refused.map(|_| ())
+    );
+    // Nothing else is wrong with the model.
+    assert_eq!(gpu.gaussians().unwrap().len(), 1 << 18);
 }
 
 #[test]

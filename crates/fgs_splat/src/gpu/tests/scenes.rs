@@ -111,7 +111,7 @@ pub fn random_target(rng: &mut Pcg64Mcg, view: &View) -> Target {
         std::array::from_fn(|_| rng.random_range(0..=255_u8))
     });
     let depth = Image::from_fn(width, height, |u, v| match (u + v) % 5 {
-        0 => [0.0, f32::NAN][u % 2],
+        0 => [0.0, f32::NAN, -1.0, f32::INFINITY][u % 4],
         _ => rng.random_range(0.5..4.0),
     });
     Target::new(color, depth).unwrap()

@@ -2,6 +2,7 @@
 
 use naga::back::{hlsl, msl};
 
+use crate::gpu::device::{STORAGE_BUFFERS, WORKGROUP_BYTES, WORKGROUP_THREADS};
 use crate::gpu::layout::layouts;
 use crate::gpu::stage::SHADER_FILES;
 
@@ -71,4 +72,37 @@ fn metal_and_direct_x_have_words_for_every_shader() {
             assert!(written.is_ok(), "{}: {written:?}", file.name);
         }
     }
+}
+
+#[test]
+fn no_stage_needs_more_than_devices_are_asked_for() {
+    let mut most_buffers = 0;
+    for file in SHADER_FILES {
+        for by_subgroups in [false, true] {
+            let (module, info) = file.parse(by_subgroups).unwrap();
+            let mut layouter = naga::proc::Layouter::default();
+            layouter.update(module.to_ctx()).unwrap();
+            for (number, stage) in module.entry_points.iter().enumerate() {
+                let used = info.get_entry_point(number);
+                let (mut buffers, mut bytes) = (0, 0);
+                for (handle, variable) in module.global_variables.iter() {
+                    if used[handle].is_empty() {
+                        continue;
+                    }
+                    match variable.space {
+                        naga::AddressSpace::Storage { .. } => buffers += 1,
+                        naga::AddressSpace::WorkGroup => {
+                            bytes += layouter[variable.ty].size.next_multiple_of(16);
+                        }
+                        _ => {}
+                    }
+                }
+                let threads: u32 = stage.workgroup_size.iter().product();
+                assert!(threads <= WORKGROUP_THREADS, "{}: {threads}", stage.name);
+                assert!(bytes <= WORKGROUP_BYTES, "{}: {bytes}", stage.name);
+                most_buffers = most_buffers.max(buffers);
+            }
+        }
+    }
+    assert_eq!(most_buffers, STORAGE_BUFFERS);
 }

@@ -1,8 +1,11 @@
 //! Each stage against its twin on the CPU, on all scenes.
 
+use fgs_geom::{Se3, View};
+use nalgebra::Vector6;
+
 use super::scenes::{Scene, model_of, random_target, scenes};
 use crate::cpu::tests::inspect;
-use crate::cpu::tests::scenes::rng;
+use crate::cpu::tests::scenes::{random_view, rng};
 use crate::gpu::gpu_model::GpuModel;
 use crate::gpu::layout::{self, Count, TILE};
 use crate::gpu::readback::read;
@@ -16,14 +19,24 @@ fn fetch<T: bytemuck::Pod>(model: &GpuModel, name: &str, len: usize) -> Vec<T> {
     read(&model.device, buffer, 0, len).unwrap()
 }
 
-/// Runs `check` on every scene after a pass forward and backward with a random target.
+/// Runs `check` on every scene after a pass forward and backward with a random target. What the
+/// passes of another view, a smaller one, have left in the buffers must not show.
 fn on_all_scenes(check: impl Fn(&Scene, &crate::Target, &GpuModel, &[u32])) {
     for (seed, scene) in (0..).zip(scenes()) {
         let Some(mut model) = model_of(&scene, &ModelSettings::default()) else {
             return;
         };
         let target = random_target(&mut rng(seed), &scene.view);
+        let aside = Se3::exp(&Vector6::new(0.05, -0.1, 0.05, 0.1, 0.05, -0.2));
+        let [width, height] = [scene.view.camera.width, scene.view.camera.height];
+        let other = View {
+            world_from_camera: scene.view.world_from_camera * aside,
+            ..random_view(&mut rng(98), width.div_ceil(2), height.div_ceil(2))
+        };
+        let other_target = random_target(&mut rng(99), &other);
+        let other = model.add_view(other, other_target).unwrap();
         let id = model.add_view(scene.view, target.clone()).unwrap();
+        model.see_again(other).unwrap();
         let counts = model.see_again(id).unwrap();
         check(&scene, &target, &model, &counts);
     }
