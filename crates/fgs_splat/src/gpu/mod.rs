@@ -4,8 +4,10 @@
 //! `device` finds a device and compiles the `stage`s from `shaders/`, one file for each, named as
 //! its twin on the CPU; `layout` is what Rust and shaders share. `buffers` are the memory,
 //! `recorder` and `passes` put the stages of a step in their order, and `gpu_model` is the
-//! [`GaussianModel`](crate::GaussianModel). Invariants: nothing is read back within a step; no sum
-//! has an order that depends on a race, so that results on one device are always the same bits.
+//! [`GaussianModel`](crate::GaussianModel), with `steps` and `whole_map`.
+//!
+//! Invariants: nothing is read back within a step; no sum has an order that depends on a race, so
+//! that results on one device are always the same bits.
 
 mod buffers;
 mod device;
