@@ -28,6 +28,7 @@ mod run_result;
 mod settings;
 mod synth;
 mod threads;
+mod vulkan_layer;
 
 use std::process::ExitCode;
 
@@ -61,6 +62,7 @@ enum Command {
 
 fn main() -> ExitCode {
     memory::keep_large_arrays_apart();
+    vulkan_layer::leave_out_without_desktop();
     let outcome = match Cli::parse().command {
         Command::Doctor(args) => doctor::run(&args),
         Command::Run(args) => run::run(&args),

@@ -9,9 +9,14 @@ use super::recorder::{Groups, Recorder};
 use crate::cpu::{Frustum, ScreenCamera};
 use crate::losses::{DEPTH_UNIT_M, LossSettings, Target};
 
+/// How many workgroups go over `count` items, a thread for each.
+pub fn workgroups(count: usize) -> u32 {
+    (count as u32).div_ceil(GROUP)
+}
+
 /// Workgroups that go over `count` items.
 pub fn groups(count: usize) -> Groups {
-    Groups::Fixed((count as u32).div_ceil(GROUP), 1)
+    Groups::Fixed(workgroups(count), 1)
 }
 
 /// A view as the shaders take it, without a set of visible gaussians.

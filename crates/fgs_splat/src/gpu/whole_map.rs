@@ -4,7 +4,7 @@ use super::error::GpuError;
 use super::gpu_model::GpuModel;
 use super::layout::{self, Count, Gaussian, NONE};
 use super::parameters::from_device;
-use super::passes::groups;
+use super::passes::{groups, workgroups};
 use super::readback::{read, read_both};
 use super::recorder::{Groups, Recorder};
 use crate::model::{PruneRule, SparseId};
@@ -73,7 +73,7 @@ impl GpuModel {
     }
 
     /// Writes what the passes over the whole map need.
-    pub(super) fn write_rule(&self, rule: &PruneRule) -> Result<(), GpuError> {
+    fn write_rule(&self, rule: &PruneRule) -> Result<(), GpuError> {
         let rule = layout::Prune {
             count: self.count as u32,
             set_words: self.buffers.set_words() as u32,
@@ -84,7 +84,7 @@ impl GpuModel {
         self.write("rule", bytemuck::bytes_of(&rule))
     }
 
-    pub(super) fn read_kept(&self) -> Result<usize, GpuError> {
+    fn read_kept(&self) -> Result<usize, GpuError> {
         let counts = self.buffers.get("counts")?;
         let kept: Vec<u32> = read(&self.device, counts, Count::KEPT as usize, 1)?;
         Ok(kept[0] as usize)
@@ -94,13 +94,12 @@ impl GpuModel {
     fn compact(&mut self) -> Result<(), GpuError> {
         const NEW_PLACES: (&str, &str) = ("new_from_old", "depth_keys");
         let by_gaussian = groups(self.count);
-        let words = groups(self.count.div_ceil(32));
+        let by_word = Groups::Fixed(
+            workgroups(self.count.div_ceil(32)),
+            self.buffers.sets() as u32,
+        );
         let moved_sets = self.buffers.empty_sets()?;
         self.buffers.set("moved_sets", moved_sets);
-        let Groups::Fixed(words, _) = words else {
-            return Ok(());
-        };
-        let sets = Groups::Fixed(words, self.buffers.sets() as u32);
 
         let mut recorder = Recorder::new(&self.device, &mut self.buffers, None);
         let aliases = [
@@ -109,7 +108,7 @@ impl GpuModel {
             ("removed_ids", "order"),
         ];
         recorder.run_as("move_survivors", 0, &aliases, by_gaussian)?;
-        recorder.run_as("move_sets", 0, &[NEW_PLACES], sets)?;
+        recorder.run_as("move_sets", 0, &[NEW_PLACES], by_word)?;
         recorder.submit();
         self.buffers.swap("gaussians", "gradients");
         for moments in ["first_moments", "second_moments"] {
