@@ -54,7 +54,7 @@ fn backward(
     d_rendered[thread] = d;
     min_n_rays[thread] = min_n_ray;
     atomicMax(&max_used, state.used);
-    workgroupBarrier();
+    // A barrier on either side, for the arrays as well.
     let used = workgroupUniformLoad(&max_used);
     for (var i = range.x + used + thread; i < range.y; i += TILE_PIXELS) {
         sums[slots[i]][3].z = 0.0;

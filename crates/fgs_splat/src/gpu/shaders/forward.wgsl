@@ -38,7 +38,7 @@ fn forward(
         if open {
             atomicStore(&open_pixels[parity], 1u);
         }
-        workgroupBarrier();
+        // A barrier on either side, for the batch as well.
         if workgroupUniformLoad(&open_pixels[parity]) == 0u {
             break;
         }
