@@ -123,21 +123,31 @@ impl GpuDevice {
 
         let cache = PipelineCacheFile::of(&info, features);
         let pipelines = cache.as_ref().map(|cache| cache.load(&device));
-        let stages = Stage::make_all(&device, options(features), pipelines.as_ref())
-            .map_err(GpuError::Other)?;
+        let make = |options| {
+            let stages = Stage::make_all(&device, options, pipelines.as_ref());
+            let opened = Self {
+                shared: Arc::new(Shared {
+                    name: name.clone(),
+                    device: device.clone(),
+                    queue: queue.clone(),
+                    stages: stages.map_err(GpuError::Other)?,
+                    failure: failure.clone(),
+                }),
+            };
+            opened.check()?;
+            Ok(opened)
+        };
+        let options = options(features);
+        let mut opened = make(options)?;
+        if options.by_subgroups && !opened.scans_in_order()? {
+            opened = make(StageOptions {
+                by_subgroups: false,
+                ..options
+            })?;
+        }
         if let (Some(cache), Some(pipelines)) = (&cache, &pipelines) {
             cache.save(pipelines);
         }
-        let opened = Self {
-            shared: Arc::new(Shared {
-                name,
-                device,
-                queue,
-                stages,
-                failure,
-            }),
-        };
-        opened.check()?;
         Ok(opened)
     }
 

@@ -20,6 +20,7 @@ mod pipeline_cache;
 mod rates;
 mod readback;
 mod recorder;
+mod scan_check;
 mod stage;
 mod steps;
 mod targets;

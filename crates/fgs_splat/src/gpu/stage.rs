@@ -141,6 +141,11 @@ pub const SHADER_FILES: &[ShaderFile] = &[
         entry_points: &["count_moved", "place_moved", "write_moved"],
     },
     ShaderFile {
+        name: "scan_check",
+        parts: &[WORKGROUP_SCAN, include_str!("shaders/scan_check.wgsl")],
+        entry_points: &["check_scan"],
+    },
+    ShaderFile {
         name: "covisibility",
         parts: &[WORKGROUP_SCAN, include_str!("shaders/covisibility.wgsl")],
         entry_points: &["covisibility"],

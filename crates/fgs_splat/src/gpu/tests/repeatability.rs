@@ -40,6 +40,7 @@ fn the_same_bits_every_time() {
     let Some(device) = device() else {
         return;
     };
+    assert!(device.scans_in_order().unwrap());
     let first = live(device.clone());
     assert_eq!(first.1.len(), 12);
     for _ in 0..3 {
