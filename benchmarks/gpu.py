@@ -9,7 +9,7 @@ lockstep, and writes OUT/gpu.md, the bars first. --quick takes small sizes, to t
 Each part's result is kept in OUT (bench.jsonl, gpu_1.json, ..., cpu.json), and what is there is not made again. The CPU's run comes
 last and takes a quarter of an hour and more; where a command may take only so long, or the device is lent, split it:
 
-    python benchmarks/gpu.py OUT --fgs fgs --no-cpu --room /tmp/room    # on the device's machine: minutes
+    python benchmarks/gpu.py OUT --fgs fgs --no-cpu --room room         # on the device's machine: minutes
     python benchmarks/gpu.py OUT --fgs fgs                              # there or elsewhere, OUT copied: adds the CPU's run
 
 A part that was stopped begins anew. The room (--room, by default OUT/room) is made where it is missing: two gigabytes, in minutes.
