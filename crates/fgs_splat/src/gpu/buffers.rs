@@ -231,7 +231,7 @@ impl Buffers {
         fresh.extend(self.make_all(PER_GROUP.iter(), room / GROUP as usize)?);
         fresh.extend(self.make_digit_counts(room.max(self.entries))?);
         let sets = self.new_sets(self.sets, room / 32)?;
-        let mut encoder = self.encoder();
+        let mut encoder = self.device.encoder();
         for (name, bytes) in KEPT {
             if let Some(old) = self.table.get(name) {
                 encoder.copy_buffer_to_buffer(old, 0, &fresh[name], 0, (used * bytes) as u64);
@@ -311,7 +311,7 @@ impl Buffers {
         let fresh = self.new_sets(sets, self.set_words())?;
         self.make("overlaps", WORD * sets, BufferUsages::STORAGE)?;
         if let (Some(old), true) = (self.table.get("visible_sets"), used > 0) {
-            let mut encoder = self.encoder();
+            let mut encoder = self.device.encoder();
             let bytes = (WORD * used * self.set_words()) as u64;
             encoder.copy_buffer_to_buffer(old, 0, &fresh, 0, bytes);
             self.device.queue().submit([encoder.finish()]);
@@ -356,9 +356,7 @@ impl Buffers {
             let message = format!("it works on no more than {most} items, and there are {needed}");
             return Err(GpuError::Other(message));
         }
-        let limit = limits
-            .max_storage_buffer_binding_size
-            .min(limits.max_buffer_size);
+        let limit = self.device.binding_limit();
         let bound = usize::try_from(limit).unwrap_or(usize::MAX) / bytes / group * group;
         let room = (before + before / 2).min(bound).min(most).max(needed);
         Ok(room.next_multiple_of(group))
@@ -388,11 +386,5 @@ impl Buffers {
         let buffer = self.device.buffer(name, bytes as u64, usage)?;
         self.set(name, buffer);
         Ok(())
-    }
-
-    fn encoder(&self) -> wgpu::CommandEncoder {
-        self.device
-            .raw()
-            .create_command_encoder(&Default::default())
     }
 }

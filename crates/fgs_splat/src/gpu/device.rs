@@ -30,6 +30,7 @@ struct Shared {
     device: wgpu::Device,
     queue: wgpu::Queue,
     stages: Vec<Stage>,
+    binding_limit: u64,
     /// What went wrong, if anything did.
     failure: Arc<Mutex<Option<GpuError>>>,
 }
@@ -123,6 +124,10 @@ impl GpuDevice {
 
         let cache = PipelineCacheFile::of(&info, features);
         let pipelines = cache.as_ref().map(|cache| cache.load(&device));
+        let limits = device.limits();
+        let binding_limit = limits
+            .max_storage_buffer_binding_size
+            .min(limits.max_buffer_size);
         let make = |options| {
             let stages = Stage::make_all(&device, options, pipelines.as_ref());
             let opened = Self {
@@ -131,6 +136,7 @@ impl GpuDevice {
                     device: device.clone(),
                     queue: queue.clone(),
                     stages: stages.map_err(GpuError::Other)?,
+                    binding_limit,
                     failure: failure.clone(),
                 }),
             };
@@ -164,6 +170,16 @@ impl GpuDevice {
         &self.shared.queue
     }
 
+    /// The most bytes of a buffer that stages can use.
+    pub(super) fn binding_limit(&self) -> u64 {
+        self.shared.binding_limit
+    }
+
+    /// For commands to come.
+    pub(super) fn encoder(&self) -> wgpu::CommandEncoder {
+        self.raw().create_command_encoder(&Default::default())
+    }
+
     /// The stage of that entry point.
     pub(super) fn stage(&self, name: &str) -> Result<&Stage, GpuError> {
         let found = self.shared.stages.iter().find(|stage| stage.name == name);
@@ -192,10 +208,7 @@ impl GpuDevice {
         bytes: u64,
         usage: wgpu::BufferUsages,
     ) -> Result<wgpu::Buffer, GpuError> {
-        let limits = self.raw().limits();
-        let limit = limits
-            .max_storage_buffer_binding_size
-            .min(limits.max_buffer_size);
+        let limit = self.binding_limit();
         if bytes > limit {
             return Err(GpuError::TooLarge {
                 what,

@@ -178,10 +178,7 @@ impl GaussianModel for GpuModel {
         self.last_known.extend(&seeds.gaussians);
         let row = size_of::<Gaussian>() as u64;
         let (start, bytes) = (row * self.count as u64, row * added as u64);
-        let mut encoder = self
-            .device
-            .raw()
-            .create_command_encoder(&Default::default());
+        let mut encoder = self.device.encoder();
         for moments in ["first_moments", "second_moments"] {
             encoder.clear_buffer(self.buffers.get(moments)?, start, Some(bytes));
         }

@@ -37,11 +37,7 @@ impl GpuDevice {
     /// # Errors
     /// If the device fails or its memory does not suffice.
     pub fn measure_rates(&self) -> Result<Rates, GpuError> {
-        let limits = self.raw().limits();
-        let limit = limits
-            .max_storage_buffer_binding_size
-            .min(limits.max_buffer_size);
-        let groups = COPY_BYTES.min(limit) / COPIED_BYTES;
+        let groups = COPY_BYTES.min(self.binding_limit()) / COPIED_BYTES;
         let bytes = groups * COPIED_BYTES;
         let make = |what| self.buffer(what, bytes, wgpu::BufferUsages::STORAGE);
         let (source, copied) = (make("what is copied")?, make("copies")?);
@@ -77,7 +73,7 @@ impl GpuDevice {
         let mut best = f64::INFINITY;
         let mut repetitions = 1_u32;
         loop {
-            let mut encoder = self.raw().create_command_encoder(&Default::default());
+            let mut encoder = self.encoder();
             for _ in 0..repetitions {
                 record(&mut encoder);
             }

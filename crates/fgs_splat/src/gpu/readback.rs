@@ -39,7 +39,7 @@ pub fn read_both<A: Pod, B: Pod>(
         return Ok((Vec::new(), Vec::new()));
     }
     let landing = Landing::new(device, (bytes_a + bytes_b) as u64)?;
-    let mut encoder = device.raw().create_command_encoder(&Default::default());
+    let mut encoder = device.encoder();
     for (buffer, first, at, bytes) in [
         (a, first_a * size_a, 0, bytes_a),
         (b, first_b * size_b, bytes_a, bytes_b),

@@ -34,7 +34,7 @@ impl<'a> Recorder<'a> {
         Self {
             device,
             buffers,
-            encoder: device.raw().create_command_encoder(&Default::default()),
+            encoder: device.encoder(),
             pass: None,
             timer,
         }

@@ -16,7 +16,7 @@ impl GpuDevice {
         let scanned = self.buffer("prefix sums", bytes, wgpu::BufferUsages::STORAGE)?;
         let stage = self.stage("check_scan")?;
         let buffers = stage.bind(self.raw(), |_| Ok(&scanned))?;
-        let mut encoder = self.raw().create_command_encoder(&Default::default());
+        let mut encoder = self.encoder();
         let mut pass = encoder.begin_compute_pass(&Default::default());
         pass.set_pipeline(&stage.pipeline);
         pass.set_bind_group(0, &buffers, &[]);

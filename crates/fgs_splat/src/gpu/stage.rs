@@ -46,6 +46,7 @@ pub const SHADER_FILES: &[ShaderFile] = &[
         name: "project",
         parts: &[
             WORKGROUP_SCAN,
+            BLOCK_SCAN,
             PROJECTION,
             BOUNDS,
             include_str!("shaders/project.wgsl"),
@@ -125,7 +126,7 @@ pub const SHADER_FILES: &[ShaderFile] = &[
         ],
         entry_points: &[
             "count_survivors",
-            "place_survivors",
+            "place_kept",
             "move_survivors",
             "move_rows",
             "move_sets",
@@ -138,7 +139,7 @@ pub const SHADER_FILES: &[ShaderFile] = &[
             BLOCK_SCAN,
             include_str!("shaders/sparse.wgsl"),
         ],
-        entry_points: &["count_moved", "place_moved", "write_moved"],
+        entry_points: &["count_moved", "write_moved"],
     },
     ShaderFile {
         name: "scan_check",

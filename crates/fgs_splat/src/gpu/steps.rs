@@ -53,8 +53,7 @@ impl GpuModel {
             let stages = timer.take(&self.device)?;
             // A step for which there was no room was repeated, untimed.
             if self.repeated_steps == repeated {
-                let counts = self.buffers.get("counts")?;
-                let counts: Vec<u32> = read(&self.device, counts, 0, Count::ALL.len())?;
+                let counts = self.read_counts()?;
                 return Ok(Some(TimedStep {
                     stages,
                     in_view: counts[Count::VISIBLE as usize] as usize,
@@ -173,8 +172,18 @@ impl GpuModel {
             self.landings.push(landing);
             views.push(view);
         }
-        self.write("counts", &[0; 4 * Count::ALL.len()])?;
+        self.clear_counts()?;
         Ok(views)
+    }
+
+    pub(super) fn read_counts(&self) -> Result<Vec<u32>, GpuError> {
+        let counts = self.buffers.get("counts")?;
+        read(&self.device, counts, 0, Count::ALL.len())
+    }
+
+    /// What has happened so far keeps no later pass from changing things.
+    fn clear_counts(&self) -> Result<(), GpuError> {
+        self.write("counts", &[0; 4 * Count::ALL.len()])
     }
 
     /// Room for that many entries, and for some more.
@@ -220,13 +229,8 @@ impl GpuModel {
                 recorder.backward(&view, loss)?;
             }
             recorder.submit();
-            let counts: Vec<u32> = read(
-                &self.device,
-                self.buffers.get("counts")?,
-                0,
-                Count::ALL.len(),
-            )?;
-            self.write("counts", &[0; 4 * Count::ALL.len()])?;
+            let counts = self.read_counts()?;
+            self.clear_counts()?;
             if counts[Count::OVERFLOWED as usize] == 0 {
                 return Ok(counts);
             }

@@ -11,22 +11,23 @@ use crate::model::{PruneRule, SparseId};
 
 /// Least number of moved sparse gaussians that are fetched unasked.
 pub(super) const MIN_EXPECTED_MOVES: usize = 1024;
-/// Prunes nothing.
-const KEEP_ALL: PruneRule = PruneRule {
-    min_opacity: 0.0,
-    max_scale_m: f32::MAX,
-    max_aspect: f32::MAX,
-};
 
 impl GpuModel {
     /// Removes gaussians; returns how many.
     pub(super) fn remove(&mut self, rule: &PruneRule) -> Result<usize, GpuError> {
-        self.write_rule(rule)?;
+        let rule = layout::Prune {
+            count: self.count as u32,
+            set_words: self.buffers.set_words() as u32,
+            min_opacity: rule.min_opacity,
+            max_log_scale: rule.max_scale_m.ln(),
+            max_log_aspect: rule.max_aspect.ln(),
+        };
+        self.write("rule", bytemuck::bytes_of(&rule))?;
         let mut recorder = Recorder::new(&self.device, &mut self.buffers, None);
         recorder.run("count_survivors", groups(self.count))?;
-        recorder.run("place_survivors", Groups::Fixed(1, 1))?;
+        recorder.run("place_kept", Groups::Fixed(1, 1))?;
         recorder.submit();
-        let pruned = self.count - self.read_kept()?;
+        let pruned = self.count - self.read_counts()?[Count::KEPT as usize] as usize;
         if pruned > 0 {
             self.compact()?;
             let ids: Vec<u32> = read(&self.device, self.buffers.get("order")?, 0, pruned)?;
@@ -40,13 +41,17 @@ impl GpuModel {
 
     /// The gaussians of the sparse map that steps touched since they were last taken, in their order.
     pub(super) fn take_moved(&mut self) -> Result<Vec<Gaussian>, GpuError> {
-        self.write_rule(&KEEP_ALL)?;
+        let all = layout::Prune {
+            count: self.count as u32,
+            ..Default::default()
+        };
+        self.write("rule", bytemuck::bytes_of(&all))?;
         let by_gaussian = groups(self.count);
         let set_bytes = 4 * self.buffers.set_words() as u64;
         let mut recorder = Recorder::new(&self.device, &mut self.buffers, None);
         let aliases = [("moved_gaussians", "gradients")];
         recorder.run("count_moved", by_gaussian)?;
-        recorder.run("place_moved", Groups::Fixed(1, 1))?;
+        recorder.run("place_kept", Groups::Fixed(1, 1))?;
         recorder.run_as("write_moved", 0, &aliases, by_gaussian)?;
         let sets = recorder.buffers.get("visible_sets")?.clone();
         recorder.encoder().clear_buffer(&sets, 0, Some(set_bytes));
@@ -70,24 +75,6 @@ impl GpuModel {
 
     pub(super) fn read_gaussians(&self) -> Result<Vec<Gaussian>, GpuError> {
         read(&self.device, self.buffers.get("gaussians")?, 0, self.count)
-    }
-
-    /// Writes what the passes over the whole map need.
-    fn write_rule(&self, rule: &PruneRule) -> Result<(), GpuError> {
-        let rule = layout::Prune {
-            count: self.count as u32,
-            set_words: self.buffers.set_words() as u32,
-            min_opacity: rule.min_opacity,
-            max_log_scale: rule.max_scale_m.ln(),
-            max_log_aspect: rule.max_aspect.ln(),
-        };
-        self.write("rule", bytemuck::bytes_of(&rule))
-    }
-
-    fn read_kept(&self) -> Result<usize, GpuError> {
-        let counts = self.buffers.get("counts")?;
-        let kept: Vec<u32> = read(&self.device, counts, Count::KEPT as usize, 1)?;
-        Ok(kept[0] as usize)
     }
 
     /// Moves the gaussians that survive together, and all that belongs to them.

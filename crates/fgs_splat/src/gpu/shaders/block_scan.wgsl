@@ -1,4 +1,18 @@
-// From the sums of blocks to where each block starts. A single workgroup does it.
+// Places in order for those of all threads' items that are kept: each workgroup, a block, leaves its
+// sum; a single one finds where each block starts; then each thread knows its own place.
+
+// Leaves the block's sum. To be called by all threads.
+fn count_in_block(value: u32, block: u32, thread: u32) {
+    let sums = workgroup_scan(value, thread);
+    if thread == 0u {
+        block_sums[block] = sums.y;
+    }
+}
+
+// The sum of the values of all threads before this one. To be called by all threads.
+fn place_in_block(value: u32, block: u32, thread: u32) -> u32 {
+    return block_sums[block] + workgroup_scan(value, thread).x;
+}
 
 const BLOCKS_PER_THREAD: u32 = 8u;
 

@@ -27,10 +27,7 @@ fn count_in_view(
             visible_sets[view.set_start + index / 32u] = 0u;
         }
     }
-    let sums = workgroup_scan(seen, thread);
-    if thread == 0u {
-        block_sums[block.x] = sums.y;
-    }
+    count_in_block(seen, block.x, thread);
 }
 
 // Where each block's gaussians go; starts the counts of a step.

@@ -1,7 +1,7 @@
 // Writes the splats of the gaussians in view, and how many tiles each touches.
 
 @group(0) @binding(1) var<storage, read> gaussians: array<Gaussian>;
-@group(0) @binding(2) var<storage, read> block_sums: array<u32>;
+@group(0) @binding(2) var<storage, read_write> block_sums: array<u32>;
 @group(0) @binding(3) var<storage, read_write> splats: array<Splat>;
 // The gaussian of each splat.
 @group(0) @binding(4) var<storage, read_write> gaussian_of: array<u32>;
@@ -23,7 +23,7 @@ fn project(
     if index < view.count {
         seen = in_view[index] == 1u;
     }
-    let place = block_sums[block.x] + workgroup_scan(u32(seen), thread).x;
+    let place = place_in_block(u32(seen), block.x, thread);
     if !seen {
         return;
     }

@@ -44,14 +44,12 @@ fn count_survivors(
     if id.x < rule.count {
         kept = u32(survives(gaussians[id.x]));
     }
-    let sums = workgroup_scan(kept, thread);
-    if thread == 0u {
-        block_sums[block.x] = sums.y;
-    }
+    count_in_block(kept, block.x, thread);
 }
 
+// Also of what `sparse.wgsl` keeps.
 @compute @workgroup_size(GROUP)
-fn place_survivors(@builtin(local_invocation_index) thread: u32) {
+fn place_kept(@builtin(local_invocation_index) thread: u32) {
     let kept = scan_block_sums((rule.count + GROUP - 1u) / GROUP, thread);
     if thread == 0u {
         counts[KEPT] = kept;
@@ -69,7 +67,7 @@ fn move_survivors(
     if index < rule.count {
         kept = survives(gaussians[index]);
     }
-    let place = block_sums[block.x] + workgroup_scan(u32(kept), thread).x;
+    let place = place_in_block(u32(kept), block.x, thread);
     if index >= rule.count {
         return;
     }

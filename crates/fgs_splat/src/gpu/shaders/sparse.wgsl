@@ -4,7 +4,6 @@
 @group(0) @binding(0) var<uniform> rule: Prune;
 @group(0) @binding(1) var<storage, read> gaussians: array<Gaussian>;
 @group(0) @binding(2) var<storage, read_write> block_sums: array<u32>;
-@group(0) @binding(3) var<storage, read_write> counts: array<u32>;
 @group(0) @binding(4) var<storage, read> visible_sets: array<u32>;
 @group(0) @binding(5) var<storage, read_write> moved_gaussians: array<Gaussian>;
 
@@ -19,18 +18,7 @@ fn count_moved(
     @builtin(workgroup_id) block: vec3<u32>,
     @builtin(local_invocation_index) thread: u32,
 ) {
-    let sums = workgroup_scan(u32(has_moved(id.x)), thread);
-    if thread == 0u {
-        block_sums[block.x] = sums.y;
-    }
-}
-
-@compute @workgroup_size(GROUP)
-fn place_moved(@builtin(local_invocation_index) thread: u32) {
-    let moved = scan_block_sums((rule.count + GROUP - 1u) / GROUP, thread);
-    if thread == 0u {
-        counts[KEPT] = moved;
-    }
+    count_in_block(u32(has_moved(id.x)), block.x, thread);
 }
 
 @compute @workgroup_size(GROUP)
@@ -40,7 +28,7 @@ fn write_moved(
     @builtin(local_invocation_index) thread: u32,
 ) {
     let moved = has_moved(id.x);
-    let place = block_sums[block.x] + workgroup_scan(u32(moved), thread).x;
+    let place = place_in_block(u32(moved), block.x, thread);
     if moved {
         moved_gaussians[place] = gaussians[id.x];
     }

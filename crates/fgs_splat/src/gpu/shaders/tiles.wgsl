@@ -26,10 +26,7 @@ fn count_touches(
     if id.x < counts[VISIBLE] {
         number = touches[order[id.x]].y;
     }
-    let sums = workgroup_scan(number, thread);
-    if thread == 0u {
-        block_sums[block.x] = sums.y;
-    }
+    count_in_block(number, block.x, thread);
 }
 
 var<workgroup> visible: u32;
@@ -69,7 +66,7 @@ fn write_touches(
         index = order[id.x];
         number = touches[index].y;
     }
-    let first = block_sums[block.x] + workgroup_scan(number, thread).x;
+    let first = place_in_block(number, block.x, thread);
     if !is_splat || counts[ENTRIES] == 0u {
         return;
     }
