@@ -8,6 +8,10 @@ use crate::{Camera, Image};
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 pub struct FrameIndex(pub usize);
 
+/// Names a keyframe, in the order in which they were made. Never reused within a run.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+pub struct KeyframeId(pub u32);
+
 /// A colour image and the depth image registered to it, both of the camera's size and free of
 /// lens distortion.
 #[derive(Clone, Debug)]

@@ -12,6 +12,6 @@ mod se3;
 
 pub use camera::{Camera, CameraError, Intrinsics, View};
 pub use distortion::{Distortion, UndistortionMap};
-pub use frame::{FrameIndex, RgbdFrame, has_depth};
+pub use frame::{FrameIndex, KeyframeId, RgbdFrame, has_depth};
 pub use image::{Image, ImageSizeError};
 pub use se3::{Se3, skew};
