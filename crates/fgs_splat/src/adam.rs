@@ -12,7 +12,7 @@
 //! where it is old while it is quick to fit where it is new.
 
 use crate::gaussians::retain;
-use crate::{GaussianGradient, GaussianGradients, Gaussians};
+use crate::{GaussianGradient, GaussianGradients, Gaussians, SettingError};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use std::sync::LazyLock;
@@ -64,6 +64,18 @@ impl Default for LearningRates {
             opacity_logits: 0.04,
             sh: 2e-2,
         }
+    }
+}
+
+impl LearningRates {
+    /// # Errors
+    /// A rate outside 0..=1.
+    pub fn validate(&self) -> Result<(), SettingError> {
+        SettingError::unless_share("means", self.means.into())?;
+        SettingError::unless_share("quats", self.quats.into())?;
+        SettingError::unless_share("log_scales", self.log_scales.into())?;
+        SettingError::unless_share("opacity_logits", self.opacity_logits.into())?;
+        SettingError::unless_share("sh", self.sh.into())
     }
 }
 

@@ -13,6 +13,7 @@ mod ply;
 #[cfg(test)]
 mod reference;
 mod rendering;
+mod setting;
 mod visibility;
 
 pub use adam::{Adam, AdamError, LearningRates};
@@ -27,3 +28,4 @@ pub use model::{
 };
 pub use ply::{PlyError, read_ply, write_ply};
 pub use rendering::{Cotangents, GaussianGradient, GaussianGradients, Rendered};
+pub use setting::SettingError;

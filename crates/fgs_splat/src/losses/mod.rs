@@ -23,7 +23,7 @@ pub use regularizer::scale_regularizer;
 pub(crate) use regularizer::{FLAT_SCALE_M, MAX_LOG_SCALE};
 pub(crate) use ssim::{C1, C2};
 
-use crate::{Cotangents, Rendered};
+use crate::{Cotangents, Rendered, SettingError};
 use fgs_geom::{Image, has_depth};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -58,6 +58,17 @@ impl Default for LossSettings {
             mask_color_by_depth: false,
             normalize_depth: true,
         }
+    }
+}
+
+impl LossSettings {
+    /// # Errors
+    /// A weight that is negative or not finite.
+    pub fn validate(&self) -> Result<(), SettingError> {
+        SettingError::unless_weight("l1_weight", self.l1_weight.into())?;
+        SettingError::unless_weight("ssim_weight", self.ssim_weight.into())?;
+        SettingError::unless_weight("depth_weight", self.depth_weight.into())?;
+        SettingError::unless_weight("scale_weight", self.scale_weight.into())
     }
 }
 

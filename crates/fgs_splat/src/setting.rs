@@ -1,0 +1,82 @@
+//! What a setting may be. Limits are checked where the setting's type lives, and each layer puts
+//! its own name before the key: `l1_weight`, `loss.l1_weight`, `mapping.loss.l1_weight`.
+
+use std::ops::RangeInclusive;
+
+/// A setting that nothing can work with.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[error("{key} = {value} is not possible: it must be {expected}")]
+pub struct SettingError {
+    /// Dotted path of the setting.
+    pub key: String,
+    /// The value refused.
+    pub value: f64,
+    /// What it should be.
+    pub expected: String,
+}
+
+impl SettingError {
+    /// The same error, of a setting inside this group.
+    pub fn within(self, group: &str) -> Self {
+        Self {
+            key: format!("{group}.{}", self.key),
+            ..self
+        }
+    }
+
+    /// # Errors
+    /// Unless the value is finite and more than 0.
+    pub fn unless_positive(key: &str, value: f64) -> Result<(), Self> {
+        Self::unless(value > 0.0 && value.is_finite(), key, value, || {
+            "more than 0".into()
+        })
+    }
+
+    /// # Errors
+    /// Unless the value is finite and 0 or more.
+    pub fn unless_weight(key: &str, value: f64) -> Result<(), Self> {
+        Self::unless(value >= 0.0 && value.is_finite(), key, value, || {
+            "0 or more".into()
+        })
+    }
+
+    /// # Errors
+    /// Unless the value lies in 0..=1.
+    pub fn unless_share(key: &str, value: f64) -> Result<(), Self> {
+        Self::unless_within(key, value, 0.0..=1.0)
+    }
+
+    /// # Errors
+    /// Unless the count is 1 or more.
+    pub fn unless_count(key: &str, value: usize) -> Result<(), Self> {
+        Self::unless(value > 0, key, value as f64, || "at least 1".into())
+    }
+
+    /// # Errors
+    /// Unless the value lies in the range.
+    pub fn unless_within(
+        key: &str,
+        value: f64,
+        range: RangeInclusive<f64>,
+    ) -> Result<(), Self> {
+        Self::unless(range.contains(&value), key, value, || {
+            format!("between {} and {}", range.start(), range.end())
+        })
+    }
+
+    fn unless(
+        possible: bool,
+        key: &str,
+        value: f64,
+        expected: impl FnOnce() -> String,
+    ) -> Result<(), Self> {
+        if possible {
+            return Ok(());
+        }
+        Err(Self {
+            key: key.into(),
+            value,
+            expected: expected(),
+        })
+    }
+}
