@@ -28,7 +28,6 @@ VARIANTS = {
     "mask: opacity only": ["seeding.depth_mask=false", "seeding.color_mask=false"],
     "mask: opacity, depth": ["seeding.color_mask=false"],
     "disks: by view": ["seeding.disks=view"],
-    "target: optimized": ["tracking.target=optimized"],
     "target: neighbors": ["tracking.target=neighbors"],
     "new points: by mask": ["keyframes.new_points=mask"],
     "CLAHE: off": ["seeding.clahe=false"],

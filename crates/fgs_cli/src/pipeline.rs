@@ -115,7 +115,7 @@ impl Plan {
 
     fn track_and_map(
         &self,
-        model: impl GaussianModel + Send,
+        model: impl GaussianModel,
         backend: String,
         console: Console,
         stop: &AtomicBool,

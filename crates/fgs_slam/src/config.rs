@@ -57,8 +57,6 @@ pub struct TrackingConfig {
 pub enum TargetCovariance {
     /// The surface normal measured when the gaussian was seeded.
     Seeded,
-    /// The gaussian as the mapper has optimised it.
-    Optimized,
     /// Recomputed from the sparse map's nearest neighbours, as the paper's code does.
     Neighbors,
 }

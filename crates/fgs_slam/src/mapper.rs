@@ -1,10 +1,9 @@
 //! The mapper: gives the map the gaussians it lacks and optimises it, keyframe by keyframe
 //! (paper, Sec. III-A and III-D). A plain struct without threads.
 
-use fgs_geom::{Camera, FrameIndex, Image, View};
+use fgs_geom::{Camera, FrameIndex, Image, KeyframeId, View};
 use fgs_splat::{
-    GaussianModel, Gaussians, LossError, ModelError, ModelSettings, PruneRule, SparseChanges,
-    Target, ViewId,
+    GaussianModel, Gaussians, LossError, ModelError, ModelSettings, PruneRule, SparseId, Target,
 };
 
 use crate::config::{MappingConfig, NewPoints, SlamConfig};
@@ -33,10 +32,11 @@ pub struct Mapper<M> {
     segmenter: FrequencySegmenter,
     choice: ViewChoice,
     /// The keyframes that can be optimised, in the order they came.
-    views: Vec<(ViewId, FrameIndex)>,
+    views: Vec<(KeyframeId, FrameIndex)>,
+    next_id: KeyframeId,
     steps: usize,
-    /// Sparse points that the mask refused since the last call of `take_sparse_changes`.
-    refused: Vec<fgs_splat::SparseId>,
+    /// Sparse points that the mask refused since the last call of `take_removed`.
+    refused: Vec<SparseId>,
 }
 
 /// How a configuration asks the model to optimise.
@@ -61,6 +61,7 @@ impl<M: GaussianModel> Mapper<M> {
             ),
             choice: ViewChoice::new(config.seed, config.mapping.covisible_probability),
             views: Vec::new(),
+            next_id: KeyframeId(0),
             steps: 0,
             refused: Vec::new(),
             config: config.clone(),
@@ -88,9 +89,12 @@ impl<M: GaussianModel> Mapper<M> {
             &self.config.seeding,
             seeding_surface(&self.config.tracking, &frame.camera),
         );
-        self.model.insert(&seeder.seeds(&missing, &new_points))?;
+        let id = self.next_id;
+        self.next_id.0 += 1;
+        self.model
+            .insert(&seeder.seeds(&missing, &new_points), id)?;
         let target = Target::new(frame.color.clone(), frame.depth_m.clone())?;
-        let id = self.model.add_view(view, target)?;
+        self.model.add_view(id, view, target)?;
         let covisibility = self.model.covisibility(id)?;
         let mapping = &self.config.mapping;
         self.choice.set_current(
@@ -139,14 +143,14 @@ impl<M: GaussianModel> Mapper<M> {
         self.model.len()
     }
 
-    /// What happened to the sparse map since the last call.
+    /// The points that left the sparse map and were not yet reported.
     ///
     /// # Errors
     /// If the model fails.
-    pub fn take_sparse_changes(&mut self) -> Result<SparseChanges, MapperError> {
-        let mut changes = self.model.take_sparse_changes()?;
-        changes.removed.append(&mut self.refused);
-        Ok(changes)
+    pub fn take_removed(&mut self) -> Result<Vec<SparseId>, MapperError> {
+        let mut removed = self.model.take_removed()?;
+        removed.append(&mut self.refused);
+        Ok(removed)
     }
 
     /// Bytes that the map takes on a graphics device.
@@ -156,7 +160,7 @@ impl<M: GaussianModel> Mapper<M> {
 
     /// The map; after a failure, as far as it is known.
     pub fn into_gaussians(self) -> Gaussians {
-        self.model.into_gaussians()
+        Box::new(self.model).into_gaussians()
     }
 
     fn admit(&mut self, new_points: &[NewPoint], missing: &Image<bool>) -> Vec<NewPoint> {

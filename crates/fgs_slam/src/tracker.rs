@@ -9,11 +9,11 @@ use std::time::{Duration, Instant};
 
 use fgs_geom::{Camera, FrameIndex, RgbdFrame, Se3};
 use fgs_gicp::{
-    Alignment, Covariance, DepthGrid, Point, PointMap, Settings, SurfacePoint, align,
+    Alignment, DepthGrid, Point, PointMap, Settings, SurfacePoint, align,
     covariances_from_neighbors,
 };
-use fgs_splat::{SparseChanges, SparseGaussian, SparseId};
-use nalgebra::{Matrix3, Quaternion, UnitQuaternion, Vector3};
+use fgs_splat::SparseId;
+use nalgebra::Vector3;
 use rayon::prelude::*;
 
 use crate::config::{KeyframeConfig, SlamConfig, TargetCovariance, TrackingConfig};
@@ -27,9 +27,6 @@ const MIN_POINTS: usize = 50;
 /// last step costs little, and what it misses adds up along the way.
 const ROTATION_EPSILON_RAD: f64 = 1e-3;
 const TRANSLATION_EPSILON_M: f64 = 2e-4;
-
-/// A gaussian less opaque is no surface to track (0.05 to 0.09 in the published code).
-const MIN_TARGET_OPACITY: f32 = 0.09;
 
 /// Neighbours of a recomputed covariance, as in the published code, and how far they may be.
 const NEIGHBORS: usize = 10;
@@ -157,23 +154,10 @@ impl Tracker {
         })
     }
 
-    /// Takes over what the mapper did to the sparse map.
-    pub fn update_map(&mut self, changes: &SparseChanges) {
-        for id in &changes.removed {
+    /// Forgets points that the mapper pruned.
+    pub fn update_map(&mut self, removed: &[SparseId]) {
+        for id in removed {
             self.map.remove(id.0.into());
-        }
-        if self.config.target == TargetCovariance::Optimized {
-            for gaussian in &changes.moved {
-                let id = gaussian.id.0.into();
-                match optimized_point(gaussian) {
-                    Some(point) if gaussian.opacity > MIN_TARGET_OPACITY => {
-                        self.map.insert(id, point);
-                    }
-                    _ => {
-                        self.map.remove(id);
-                    }
-                }
-            }
         }
     }
 
@@ -325,18 +309,4 @@ struct Registration {
     inliers: usize,
     residual_m: f64,
     conditioning: f64,
-}
-
-/// A sparse gaussian as a target: its own covariance, regularised.
-fn optimized_point(gaussian: &SparseGaussian) -> Option<Point> {
-    let [w, x, y, z] = gaussian.quat.map(f64::from);
-    let rotation = UnitQuaternion::try_new(Quaternion::new(w, x, y, z), 1e-9)?
-        .to_rotation_matrix()
-        .into_inner();
-    let variances = Vector3::from(gaussian.log_scales).map(|log| (2.0 * f64::from(log)).exp());
-    let covariance = rotation * Matrix3::from_diagonal(&variances) * rotation.transpose();
-    Some(Point {
-        position: gaussian.mean.into(),
-        covariance: Covariance::regularized(&covariance)?,
-    })
 }

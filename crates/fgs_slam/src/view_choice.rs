@@ -3,7 +3,7 @@
 
 use std::collections::VecDeque;
 
-use fgs_splat::ViewId;
+use fgs_geom::KeyframeId;
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 
@@ -11,10 +11,10 @@ use rand_pcg::Pcg64Mcg;
 pub struct ViewChoice {
     rng: Pcg64Mcg,
     covisible_probability: f64,
-    covisible: Vec<ViewId>,
-    others: Vec<ViewId>,
+    covisible: Vec<KeyframeId>,
+    others: Vec<KeyframeId>,
     /// Views to be drawn before all others.
-    first: VecDeque<ViewId>,
+    first: VecDeque<KeyframeId>,
 }
 
 impl ViewChoice {
@@ -34,8 +34,8 @@ impl ViewChoice {
     /// is drawn `newest_first` times before any other.
     pub fn set_current(
         &mut self,
-        current: ViewId,
-        covisibility: &[(ViewId, f32)],
+        current: KeyframeId,
+        covisibility: &[(KeyframeId, f32)],
         min_share: f32,
         newest_first: usize,
     ) {
@@ -50,14 +50,14 @@ impl ViewChoice {
     }
 
     /// A view is gone.
-    pub fn forget(&mut self, id: ViewId) {
+    pub fn forget(&mut self, id: KeyframeId) {
         self.covisible.retain(|view| *view != id);
         self.others.retain(|view| *view != id);
         self.first.retain(|view| *view != id);
     }
 
     /// The next view to optimise; `None` before the first keyframe.
-    pub fn draw(&mut self) -> Option<ViewId> {
+    pub fn draw(&mut self) -> Option<KeyframeId> {
         if let Some(first) = self.first.pop_front() {
             return Some(first);
         }
@@ -77,19 +77,23 @@ mod tests {
 
     fn views() -> ViewChoice {
         let mut choice = ViewChoice::new(7, 0.7);
-        let covisibility = [(ViewId(0), 0.1), (ViewId(1), 0.7), (ViewId(2), 0.71)];
-        choice.set_current(ViewId(3), &covisibility, 0.7, 2);
+        let covisibility = [
+            (KeyframeId(0), 0.1),
+            (KeyframeId(1), 0.7),
+            (KeyframeId(2), 0.71),
+        ];
+        choice.set_current(KeyframeId(3), &covisibility, 0.7, 2);
         choice
     }
 
     #[test]
     fn newest_first_then_seventy_to_thirty() {
         let mut choice = views();
-        assert_eq!(choice.draw(), Some(ViewId(3)));
-        assert_eq!(choice.draw(), Some(ViewId(3)));
+        assert_eq!(choice.draw(), Some(KeyframeId(3)));
+        assert_eq!(choice.draw(), Some(KeyframeId(3)));
         let mut counts = [0; 4];
         for _ in 0..10_000 {
-            counts[choice.draw().unwrap().0] += 1;
+            counts[choice.draw().unwrap().0 as usize] += 1;
         }
         for (count, share) in counts.iter().zip([0.15, 0.15, 0.35, 0.35]) {
             assert!(
@@ -109,10 +113,10 @@ mod tests {
     fn draws_what_there_is() {
         let mut choice = ViewChoice::new(7, 0.7);
         assert_eq!(choice.draw(), None);
-        choice.set_current(ViewId(0), &[], 0.7, 0);
-        assert!((0..20).all(|_| choice.draw() == Some(ViewId(0))));
-        choice.set_current(ViewId(1), &[(ViewId(0), 0.0)], 0.7, 5);
-        choice.forget(ViewId(1));
-        assert!((0..20).all(|_| choice.draw() == Some(ViewId(0))));
+        choice.set_current(KeyframeId(0), &[], 0.7, 0);
+        assert!((0..20).all(|_| choice.draw() == Some(KeyframeId(0))));
+        choice.set_current(KeyframeId(1), &[(KeyframeId(0), 0.0)], 0.7, 5);
+        choice.forget(KeyframeId(1));
+        assert!((0..20).all(|_| choice.draw() == Some(KeyframeId(0))));
     }
 }

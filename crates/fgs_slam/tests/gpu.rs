@@ -14,7 +14,7 @@ use fgs_synth::Sequence;
 
 const FRAMES: usize = 12;
 
-fn go(sequence: &Sequence, execution: Execution, model: impl GaussianModel + Send) -> SlamOutput {
+fn go(sequence: &Sequence, execution: Execution, model: impl GaussianModel) -> SlamOutput {
     let stop = AtomicBool::new(false);
     let frames = frames(sequence).into_iter();
     let camera = sequence.camera();

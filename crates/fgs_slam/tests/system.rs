@@ -10,14 +10,14 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use common::{Frames, config, frames, psnr_of_map_db, room, worst_position_error_m};
-use fgs_geom::{Camera, FrameIndex, RgbdFrame, Se3, View};
+use fgs_geom::{Camera, FrameIndex, Image, KeyframeId, RgbdFrame, Se3, View};
 use fgs_slam::{
     Execution, MapperError, Observer, SlamError, SlamEvent, SlamOutput, TrackingStatus,
     model_settings, run,
 };
 use fgs_splat::{
-    CpuModel, GaussianModel, Gaussians, GpuError, ModelError, PruneRule, Rendered, Seeds,
-    SparseChanges, StepStats, Target, ViewId,
+    CpuModel, GaussianModel, Gaussians, GpuError, ModelError, PruneRule, Rendered, Seeds, SparseId,
+    StepStats, Target,
 };
 use fgs_synth::Sequence;
 
@@ -309,24 +309,30 @@ impl GaussianModel for BadModel<'_> {
     fn len(&self) -> usize {
         self.model.len()
     }
-    fn add_view(&mut self, view: View, target: Target) -> Result<ViewId, ModelError> {
-        self.model.add_view(view, target)
+    fn add_view(&mut self, id: KeyframeId, view: View, target: Target) -> Result<(), ModelError> {
+        self.model.add_view(id, view, target)
     }
-    fn drop_view(&mut self, id: ViewId) -> Result<(), ModelError> {
+    fn drop_view(&mut self, id: KeyframeId) -> Result<(), ModelError> {
         self.model.drop_view(id)
     }
-    fn insert(&mut self, seeds: &Seeds) -> Result<(), ModelError> {
+    fn insert(&mut self, seeds: &Seeds, anchor: KeyframeId) -> Result<(), ModelError> {
         let left = self.inserts_left.checked_sub(1);
         self.inserts_left = left.ok_or_else(|| self.fail())?;
-        self.model.insert(seeds)
+        self.model.insert(seeds, anchor)
     }
-    fn prune(&mut self, rule: &PruneRule) -> Result<usize, ModelError> {
+    fn move_anchored(&mut self, moves: &[(KeyframeId, Se3)]) -> Result<(), ModelError> {
+        self.model.move_anchored(moves)
+    }
+    fn prune(&mut self, rule: &PruneRule) -> Result<(), ModelError> {
         self.model.prune(rule)
     }
     fn render(&mut self, view: &View) -> Result<Rendered, ModelError> {
         self.model.render(view)
     }
-    fn step(&mut self, id: ViewId) -> Result<(), ModelError> {
+    fn see_through(&mut self, view: &View, min_alpha: f32) -> Result<Image<bool>, ModelError> {
+        self.model.see_through(view, min_alpha)
+    }
+    fn step(&mut self, id: KeyframeId) -> Result<(), ModelError> {
         std::thread::sleep(self.step_takes);
         let left = self.steps_left.checked_sub(1);
         self.steps_left = left.ok_or_else(|| self.fail())?;
@@ -335,17 +341,17 @@ impl GaussianModel for BadModel<'_> {
     fn take_stats(&mut self) -> Vec<StepStats> {
         self.model.take_stats()
     }
-    fn covisibility(&mut self, id: ViewId) -> Result<Vec<(ViewId, f32)>, ModelError> {
+    fn covisibility(&mut self, id: KeyframeId) -> Result<Vec<(KeyframeId, f32)>, ModelError> {
         self.model.covisibility(id)
     }
-    fn take_sparse_changes(&mut self) -> Result<SparseChanges, ModelError> {
-        self.model.take_sparse_changes()
+    fn take_removed(&mut self) -> Result<Vec<SparseId>, ModelError> {
+        self.model.take_removed()
     }
     fn gaussians(&mut self) -> Result<Gaussians, ModelError> {
         self.model.gaussians()
     }
-    fn into_gaussians(self) -> Gaussians {
-        self.model.into_gaussians()
+    fn into_gaussians(self: Box<Self>) -> Gaussians {
+        Box::new(self.model).into_gaussians()
     }
 }
 

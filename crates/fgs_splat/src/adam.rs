@@ -12,6 +12,7 @@
 //! where it is old while it is quick to fit where it is new.
 
 use crate::gaussians::retain;
+use crate::rigid_motion::{RigidMotion, squared, transformed};
 use crate::{GaussianGradient, GaussianGradients, Gaussians, SettingError};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -140,6 +141,18 @@ impl Adam {
         self.first.retain(keep);
         self.second.retain(keep);
         retain(&mut self.steps, keep);
+    }
+
+    /// Turns the moments of gaussian i with it: see [`crate::rigid_motion`].
+    pub(crate) fn turn(&mut self, i: usize, motion: &RigidMotion) {
+        let RigidMotion { rotation, left, .. } = motion;
+        for (moments, rotation, left) in [
+            (&mut self.first, rotation, left),
+            (&mut self.second, &squared(rotation), &squared(left)),
+        ] {
+            moments.means[i] = transformed(rotation, &moments.means[i]);
+            moments.quats[i] = transformed(left, &moments.quats[i]);
+        }
     }
 
     /// Moves the gaussians that the gradients touch against them.

@@ -4,12 +4,13 @@
 
 use std::collections::BTreeMap;
 
-use fgs_geom::View;
+use fgs_geom::{Image, KeyframeId, Se3, View};
 
+use crate::gaussians::retain;
 use crate::model::{
-    GaussianModel, ModelError, ModelSettings, PruneRule, Seeds, SparseChanges, SparseGaussian,
-    SparseId, StepStats, ViewId,
+    GaussianModel, ModelError, ModelSettings, PruneRule, Seeds, SparseId, StepStats, check_view,
 };
+use crate::rigid_motion::{RigidMotion, by_keyframe, moved, transformed};
 use crate::visibility::VisibleSet;
 use crate::{
     Adam, Cotangents, GaussianGradients, Gaussians, Rasterizer, Rendered, Target, photometric_loss,
@@ -22,16 +23,14 @@ pub struct CpuModel {
     settings: ModelSettings,
     gaussians: Gaussians,
     sparse_ids: Vec<Option<SparseId>>,
-    /// Sparse gaussians that steps touched since they were last asked for.
-    moved: VisibleSet,
-    /// Sparse gaussians pruned since they were last asked for.
+    anchors: Vec<KeyframeId>,
+    /// Pruned gaussians of the sparse map that have not been reported.
     removed: Vec<SparseId>,
     adam: Adam,
     rasterizer: Rasterizer,
     cotangents: Cotangents,
     gradients: GaussianGradients,
-    views: BTreeMap<ViewId, TrainingView>,
-    next_view: usize,
+    views: BTreeMap<KeyframeId, TrainingView>,
     stats: Vec<StepStats>,
 }
 
@@ -58,50 +57,64 @@ impl GaussianModel for CpuModel {
         self.gaussians.len()
     }
 
-    fn add_view(&mut self, view: View, target: Target) -> Result<ViewId, ModelError> {
-        let expected = (view.camera.width, view.camera.height);
-        let actual = (target.color().width(), target.color().height());
-        if expected != actual {
-            return Err(ModelError::TargetSize { expected, actual });
-        }
+    fn add_view(&mut self, id: KeyframeId, view: View, target: Target) -> Result<(), ModelError> {
+        check_view(self.views.contains_key(&id), id, &view, &target)?;
         let pass = self.rasterizer.render(&self.gaussians, &view);
         let visible = VisibleSet::from_indices(&pass.visible());
-        let id = ViewId(self.next_view);
-        self.next_view += 1;
-        self.views.insert(
-            id,
-            TrainingView {
-                view,
-                target,
-                visible,
-            },
-        );
-        Ok(id)
+        let view = TrainingView {
+            view,
+            target,
+            visible,
+        };
+        self.views.insert(id, view);
+        Ok(())
     }
 
-    fn drop_view(&mut self, id: ViewId) -> Result<(), ModelError> {
+    fn drop_view(&mut self, id: KeyframeId) -> Result<(), ModelError> {
         let dropped = self.views.remove(&id);
         dropped.map(|_| ()).ok_or(ModelError::NoSuchView(id))
     }
 
-    fn insert(&mut self, seeds: &Seeds) -> Result<(), ModelError> {
+    fn insert(&mut self, seeds: &Seeds, anchor: KeyframeId) -> Result<(), ModelError> {
         let count = seeds.sparse_ids.len();
         if !seeds.gaussians.has_len(count) {
             return Err(ModelError::RaggedSeeds);
         }
         self.gaussians.extend(&seeds.gaussians);
         self.sparse_ids.extend(&seeds.sparse_ids);
+        self.anchors.extend(std::iter::repeat_n(anchor, count));
         self.adam.extend(count);
         Ok(())
     }
 
-    fn prune(&mut self, rule: &PruneRule) -> Result<usize, ModelError> {
+    fn move_anchored(&mut self, moves: &[(KeyframeId, Se3)]) -> Result<(), ModelError> {
+        let motions = by_keyframe(moves)?;
+        for (id, training) in &mut self.views {
+            if let Some(motion) = motions.get(id) {
+                training.view = moved(&training.view, motion);
+            }
+        }
+        let motions: BTreeMap<KeyframeId, RigidMotion> = motions
+            .iter()
+            .map(|(id, motion)| (*id, motion.into()))
+            .collect();
+        for (i, anchor) in self.anchors.iter().enumerate() {
+            if let Some(motion) = motions.get(anchor) {
+                let (mean, quat) = (&mut self.gaussians.means[i], &mut self.gaussians.quats[i]);
+                *mean = motion.apply(mean);
+                *quat = transformed(&motion.left, quat);
+                self.adam.turn(i, motion);
+            }
+        }
+        Ok(())
+    }
+
+    fn prune(&mut self, rule: &PruneRule) -> Result<(), ModelError> {
         let keep: Vec<bool> = (0..self.len())
             .map(|i| survives(&self.gaussians, i, rule))
             .collect();
-        let pruned = keep.iter().filter(|keep| !**keep).count();
-        if pruned == 0 {
-            return Ok(0);
+        if keep.iter().all(|keep| *keep) {
+            return Ok(());
         }
         let mut kept = 0;
         let new_from_old: Vec<Option<u32>> = keep
@@ -118,13 +131,12 @@ impl GaussianModel for CpuModel {
         }
         self.gaussians.retain(&keep);
         self.adam.retain(&keep);
-        let mut flags = keep.iter();
-        self.sparse_ids.retain(|_| flags.next() == Some(&true));
-        self.moved = self.moved.compacted(&new_from_old);
+        retain(&mut self.sparse_ids, &keep);
+        retain(&mut self.anchors, &keep);
         for view in self.views.values_mut() {
             view.visible = view.visible.compacted(&new_from_old);
         }
-        Ok(pruned)
+        Ok(())
     }
 
     fn render(&mut self, view: &View) -> Result<Rendered, ModelError> {
@@ -132,7 +144,12 @@ impl GaussianModel for CpuModel {
         Ok(pass.rendered().clone())
     }
 
-    fn step(&mut self, id: ViewId) -> Result<(), ModelError> {
+    fn see_through(&mut self, view: &View, min_alpha: f32) -> Result<Image<bool>, ModelError> {
+        let pass = self.rasterizer.render(&self.gaussians, view);
+        Ok(pass.rendered().alpha.map(|alpha| *alpha < min_alpha))
+    }
+
+    fn step(&mut self, id: KeyframeId) -> Result<(), ModelError> {
         let training = self.views.get_mut(&id).ok_or(ModelError::NoSuchView(id))?;
         let mut pass = self.rasterizer.render(&self.gaussians, &training.view);
         let loss = photometric_loss(
@@ -144,11 +161,6 @@ impl GaussianModel for CpuModel {
         pass.vjp(&self.cotangents, &mut self.gradients);
         let touched = &self.gradients.touched;
         training.visible = VisibleSet::from_indices(touched);
-        for &index in touched {
-            if self.sparse_ids[index as usize].is_some() {
-                self.moved.insert(index as usize);
-            }
-        }
         let visible = touched.len();
         let regularizer = self.add_regularizer();
         let skipped_gradients = self.adam.step(
@@ -169,7 +181,7 @@ impl GaussianModel for CpuModel {
         std::mem::take(&mut self.stats)
     }
 
-    fn covisibility(&mut self, id: ViewId) -> Result<Vec<(ViewId, f32)>, ModelError> {
+    fn covisibility(&mut self, id: KeyframeId) -> Result<Vec<(KeyframeId, f32)>, ModelError> {
         let own = &self
             .views
             .get(&id)
@@ -182,23 +194,17 @@ impl GaussianModel for CpuModel {
             .collect())
     }
 
-    fn take_sparse_changes(&mut self) -> Result<SparseChanges, ModelError> {
-        let moved = std::mem::take(&mut self.moved);
-        let mut moved: Vec<SparseGaussian> = moved
-            .iter()
-            .filter_map(|i| self.sparse_gaussian(i))
-            .collect();
-        moved.sort_by_key(|gaussian| gaussian.id);
+    fn take_removed(&mut self) -> Result<Vec<SparseId>, ModelError> {
         let mut removed = std::mem::take(&mut self.removed);
         removed.sort_unstable();
-        Ok(SparseChanges { moved, removed })
+        Ok(removed)
     }
 
     fn gaussians(&mut self) -> Result<Gaussians, ModelError> {
         Ok(self.gaussians.clone())
     }
 
-    fn into_gaussians(self) -> Gaussians {
+    fn into_gaussians(self: Box<Self>) -> Gaussians {
         self.gaussians
     }
 }
@@ -215,16 +221,6 @@ impl CpuModel {
             }
         }
         f64::from(weight) * value
-    }
-
-    fn sparse_gaussian(&self, i: usize) -> Option<SparseGaussian> {
-        Some(SparseGaussian {
-            id: self.sparse_ids[i]?,
-            mean: self.gaussians.means[i],
-            quat: self.gaussians.quats[i],
-            log_scales: self.gaussians.log_scales[i],
-            opacity: self.gaussians.opacity(i),
-        })
     }
 }
 

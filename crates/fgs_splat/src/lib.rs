@@ -13,6 +13,7 @@ mod ply;
 #[cfg(test)]
 mod reference;
 mod rendering;
+mod rigid_motion;
 mod setting;
 mod visibility;
 
@@ -22,10 +23,7 @@ pub use cpu_model::CpuModel;
 pub use gaussians::{Gaussian, Gaussians, SH0_FACTOR};
 pub use gpu::{GpuDevice, GpuError, GpuModel, Rates, TimedStep};
 pub use losses::{ImageLoss, LossError, LossSettings, Target, photometric_loss, scale_regularizer};
-pub use model::{
-    GaussianModel, ModelError, ModelSettings, PruneRule, Seeds, SparseChanges, SparseGaussian,
-    SparseId, StepStats, ViewId,
-};
+pub use model::{GaussianModel, ModelError, ModelSettings, PruneRule, Seeds, SparseId, StepStats};
 pub use ply::{PlyError, read_ply, write_ply};
 pub use rendering::{Cotangents, GaussianGradient, GaussianGradients, Rendered};
 pub use setting::SettingError;

@@ -1,16 +1,15 @@
-//! The seam between SLAM and the device that optimises: parameters, gradients, Adam's state and the
-//! registered views live behind [`GaussianModel`], and nothing is read back within a step.
+//! The interface between SLAM and the device that optimises the map. Parameters, gradients, Adam's
+//! state and the training views live behind [`GaussianModel`], and nothing is read back within a step.
+//!
+//! Every gaussian is anchored to the keyframe that it was seeded from. When a keyframe's pose is
+//! corrected, [`GaussianModel::move_anchored`] moves its gaussians and its view with it.
 
-use fgs_geom::View;
+use fgs_geom::{Image, KeyframeId, Se3, View};
 use thiserror::Error;
 
 use crate::{
     AdamError, Gaussians, GpuError, LearningRates, LossError, LossSettings, Rendered, Target,
 };
-
-/// A registered view. Never reused, also not after [`GaussianModel::drop_view`].
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
-pub struct ViewId(pub usize);
 
 /// The caller's name for a gaussian of the sparse map.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -40,37 +39,13 @@ pub struct PruneRule {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct StepStats {
     /// The view that was optimised.
-    pub view: ViewId,
+    pub view: KeyframeId,
     /// The loss before the step.
     pub loss: f32,
     /// How many gaussians contributed to a pixel.
     pub visible: usize,
     /// How many gradients were not finite and left out.
     pub skipped_gradients: usize,
-}
-
-/// One gaussian of the sparse map as it is now.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct SparseGaussian {
-    /// Its name.
-    pub id: SparseId,
-    /// Centre, world axes, metres.
-    pub mean: [f32; 3],
-    /// Rotation `world_from_gaussian`, wxyz, not normalised.
-    pub quat: [f32; 4],
-    /// Logarithms of the standard deviations in metres.
-    pub log_scales: [f32; 3],
-    /// Opacity, 0 to 1.
-    pub opacity: f32,
-}
-
-/// What happened to the sparse map since it was last asked for.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct SparseChanges {
-    /// Gaussians that steps may have changed, by ascending id.
-    pub moved: Vec<SparseGaussian>,
-    /// Gaussians that were pruned, by ascending id.
-    pub removed: Vec<SparseId>,
 }
 
 /// How a model optimises.
@@ -85,9 +60,15 @@ pub struct ModelSettings {
 /// Why a model refuses a call.
 #[derive(Debug, Error, PartialEq)]
 pub enum ModelError {
-    /// The view was never registered or has been dropped.
-    #[error("there is no view {0:?}")]
-    NoSuchView(ViewId),
+    /// The keyframe has no view: none was ever added, or it was dropped.
+    #[error("keyframe {} has no view", .0.0)]
+    NoSuchView(KeyframeId),
+    /// The keyframe already has a view.
+    #[error("keyframe {} already has a view", .0.0)]
+    ViewExists(KeyframeId),
+    /// A keyframe's motion is not finite in single precision.
+    #[error("the motion of keyframe {} is not finite", .0.0)]
+    NotFinite(KeyframeId),
     /// The target's images are not of the view's size.
     #[error("the view is {expected:?} pixels, its target {actual:?}")]
     TargetSize {
@@ -111,7 +92,7 @@ pub enum ModelError {
 }
 
 /// A map of gaussians that can be rendered and optimised.
-pub trait GaussianModel {
+pub trait GaussianModel: Send {
     /// Number of gaussians.
     fn len(&self) -> usize;
 
@@ -120,29 +101,44 @@ pub trait GaussianModel {
         self.len() == 0
     }
 
-    /// Registers a view and what it should look like.
+    /// Adds a keyframe's view, for [`GaussianModel::step`] to optimise. `target` is what was measured
+    /// there. A keyframe whose view was dropped may get another.
     ///
     /// # Errors
-    /// If the target's size is not the view's, or the device fails.
-    fn add_view(&mut self, view: View, target: Target) -> Result<ViewId, ModelError>;
+    /// If the keyframe already has a view, the target's size is not the view's, or the device fails.
+    fn add_view(&mut self, id: KeyframeId, view: View, target: Target) -> Result<(), ModelError>;
 
-    /// Forgets a view; its gaussians stay.
+    /// Drops a keyframe's view. Its gaussians stay, anchored as they are.
     ///
     /// # Errors
     /// If there is no such view, or the device fails.
-    fn drop_view(&mut self, id: ViewId) -> Result<(), ModelError>;
+    fn drop_view(&mut self, id: KeyframeId) -> Result<(), ModelError>;
 
-    /// Adds gaussians.
+    /// Adds gaussians anchored to a keyframe, which need not have a view.
     ///
     /// # Errors
     /// If the seeds' arrays differ in length, or the device fails.
-    fn insert(&mut self, seeds: &Seeds) -> Result<(), ModelError>;
+    fn insert(&mut self, seeds: &Seeds, anchor: KeyframeId) -> Result<(), ModelError>;
 
-    /// Removes gaussians; returns how many.
+    /// Moves everything that belongs to some keyframes: the gaussians anchored to them and, where
+    /// there is one, the keyframe's view. Each `Se3` is `new_world_from_old_world`; where a keyframe
+    /// is named twice its motions are applied in turn. Keyframes without gaussians or a view are
+    /// accepted.
+    ///
+    /// Adam's state turns with the gaussians. First moments are vectors (of a mean) or transform like
+    /// the quaternion, so they turn exactly. Second moments hold squares without the products of
+    /// different axes; they become `v_i = sum_j R_ij^2 v_j`, exact for uncorrelated derivatives, which
+    /// at most multiplies the longest possible step by the root of the number of axes.
+    ///
+    /// # Errors
+    /// If a motion is not finite, in which case nothing moves, or the device fails.
+    fn move_anchored(&mut self, moves: &[(KeyframeId, Se3)]) -> Result<(), ModelError>;
+
+    /// Removes the gaussians that the rule rejects, and damaged ones.
     ///
     /// # Errors
     /// If the device fails.
-    fn prune(&mut self, rule: &PruneRule) -> Result<usize, ModelError>;
+    fn prune(&mut self, rule: &PruneRule) -> Result<(), ModelError>;
 
     /// Colour, depth and alpha as seen from a view.
     ///
@@ -150,13 +146,19 @@ pub trait GaussianModel {
     /// If the device fails.
     fn render(&mut self, view: &View) -> Result<Rendered, ModelError>;
 
-    /// One optimisation step on a registered view: render, loss, backward, Adam.
+    /// The pixels of a view where the map's accumulated alpha is below `min_alpha`.
+    ///
+    /// # Errors
+    /// If the device fails.
+    fn see_through(&mut self, view: &View, min_alpha: f32) -> Result<Image<bool>, ModelError>;
+
+    /// One optimisation step on a keyframe's view: render, loss, backward, Adam.
     ///
     /// # Errors
     /// If there is no such view, or the device fails.
-    fn step(&mut self, id: ViewId) -> Result<(), ModelError>;
+    fn step(&mut self, id: KeyframeId) -> Result<(), ModelError>;
 
-    /// Statistics of steps finished since the last call, in their order.
+    /// Statistics of the steps that finished since the last call, in their order.
     fn take_stats(&mut self) -> Vec<StepStats>;
 
     /// For each other view, ascending by id, the share of this view's visible gaussians that it
@@ -164,13 +166,14 @@ pub trait GaussianModel {
     ///
     /// # Errors
     /// If there is no such view, or the device fails.
-    fn covisibility(&mut self, id: ViewId) -> Result<Vec<(ViewId, f32)>, ModelError>;
+    fn covisibility(&mut self, id: KeyframeId) -> Result<Vec<(KeyframeId, f32)>, ModelError>;
 
-    /// What happened to the sparse map since the last call.
+    /// The gaussians of the sparse map that were pruned and not yet reported, by ascending id. Never
+    /// waits for the device: what was pruned a few steps ago may be reported by a later call.
     ///
     /// # Errors
     /// If the device fails.
-    fn take_sparse_changes(&mut self) -> Result<SparseChanges, ModelError>;
+    fn take_removed(&mut self) -> Result<Vec<SparseId>, ModelError>;
 
     /// A copy of all gaussians.
     ///
@@ -184,7 +187,26 @@ pub trait GaussianModel {
     }
 
     /// All gaussians, once they are final; after a failure of the device, as they were last known.
-    fn into_gaussians(self) -> Gaussians
-    where
-        Self: Sized;
+    fn into_gaussians(self: Box<Self>) -> Gaussians;
 }
+
+/// Refuses a view that the model already has, or whose target is of another size.
+pub(crate) fn check_view(
+    exists: bool,
+    id: KeyframeId,
+    view: &View,
+    target: &Target,
+) -> Result<(), ModelError> {
+    let expected = (view.camera.width, view.camera.height);
+    let actual = (target.color().width(), target.color().height());
+    if exists {
+        Err(ModelError::ViewExists(id))
+    } else if expected != actual {
+        Err(ModelError::TargetSize { expected, actual })
+    } else {
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests;

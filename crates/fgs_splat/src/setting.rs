@@ -54,11 +54,7 @@ impl SettingError {
 
     /// # Errors
     /// Unless the value lies in the range.
-    pub fn unless_within(
-        key: &str,
-        value: f64,
-        range: RangeInclusive<f64>,
-    ) -> Result<(), Self> {
+    pub fn unless_within(key: &str, value: f64, range: RangeInclusive<f64>) -> Result<(), Self> {
         Self::unless(range.contains(&value), key, value, || {
             format!("between {} and {}", range.start(), range.end())
         })

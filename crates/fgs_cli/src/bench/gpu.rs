@@ -7,9 +7,9 @@
 use std::time::Instant;
 
 use anyhow::Context;
+use fgs_geom::KeyframeId;
 use fgs_splat::{
     GaussianModel, GpuDevice, GpuError, GpuModel, ModelError, ModelSettings, Rates, TimedStep,
-    ViewId,
 };
 use serde::Serialize;
 
@@ -215,7 +215,7 @@ fn is_too_large(error: &anyhow::Error) -> bool {
 }
 
 /// Takes that many steps and waits for them.
-fn steps(model: &mut GpuModel, id: ViewId, number: usize) -> Result<(), ModelError> {
+fn steps(model: &mut GpuModel, id: KeyframeId, number: usize) -> Result<(), ModelError> {
     for _ in 0..number {
         model.step(id)?;
     }

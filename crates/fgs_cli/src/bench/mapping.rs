@@ -3,10 +3,10 @@
 use std::hint::black_box;
 
 use anyhow::ensure;
-use fgs_geom::View;
+use fgs_geom::{KeyframeId, View};
 use fgs_splat::{
     Adam, Cotangents, CpuModel, GaussianGradients, GaussianModel, Gaussians, LearningRates,
-    LossSettings, ModelSettings, Rasterizer, Rendered, Target, ViewId, photometric_loss,
+    LossSettings, ModelSettings, Rasterizer, Rendered, Target, photometric_loss,
 };
 
 use super::input::Input;
@@ -132,7 +132,7 @@ pub fn bench(input: &Input, count: usize, bench: &mut Bench<'_>) -> anyhow::Resu
         }),
     })?;
 
-    let new_model = || -> anyhow::Result<(CpuModel, ViewId)> {
+    let new_model = || -> anyhow::Result<(CpuModel, KeyframeId)> {
         let mut model = CpuModel::new(ModelSettings::default());
         let id = scene.fill(&mut model)?;
         Ok((model, id))

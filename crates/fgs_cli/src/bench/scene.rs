@@ -5,8 +5,8 @@
 //! that all together cover as much of the surface: the lengths go with one over the number's root.
 
 use anyhow::ensure;
-use fgs_geom::{RgbdFrame, Se3, View, has_depth};
-use fgs_splat::{Gaussian, GaussianModel, Gaussians, Seeds, StepStats, Target, ViewId};
+use fgs_geom::{KeyframeId, RgbdFrame, Se3, View, has_depth};
+use fgs_splat::{Gaussian, GaussianModel, Gaussians, Seeds, StepStats, Target};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 
@@ -40,12 +40,15 @@ impl Scene {
     ///
     /// # Errors
     /// If the model refuses them.
-    pub fn fill(&self, model: &mut impl GaussianModel) -> anyhow::Result<ViewId> {
-        model.insert(&Seeds {
+    pub fn fill(&self, model: &mut impl GaussianModel) -> anyhow::Result<KeyframeId> {
+        let id = KeyframeId(0);
+        let seeds = Seeds {
             sparse_ids: vec![None; self.gaussians.means.len()],
             gaussians: self.gaussians.clone(),
-        })?;
-        Ok(model.add_view(self.view, self.target.clone())?)
+        };
+        model.insert(&seeds, id)?;
+        model.add_view(id, self.view, self.target.clone())?;
+        Ok(id)
     }
 }
 

@@ -106,7 +106,7 @@ pub fn run<E: Error + 'static>(
     camera: &Camera,
     config: &SlamConfig,
     execution: Execution,
-    model: impl GaussianModel + Send,
+    model: impl GaussianModel,
     observer: &mut dyn Observer,
     stop: &AtomicBool,
 ) -> Result<SlamOutput, SlamError> {

@@ -6,7 +6,7 @@ use std::thread;
 
 use crossbeam_channel::{bounded, unbounded};
 use fgs_geom::RgbdFrame;
-use fgs_splat::{GaussianModel, SparseChanges};
+use fgs_splat::{GaussianModel, SparseId};
 
 use super::SlamError;
 use super::front::{Front, MapSize};
@@ -17,7 +17,7 @@ use crate::keyframes::Keyframe;
 /// keyframe, few enough that the map it tracks against is fresh.
 const MAX_FRAMES_AHEAD: usize = 10;
 
-pub fn run<E: Error + 'static, M: GaussianModel + Send>(
+pub fn run<E: Error + 'static, M: GaussianModel>(
     frames: impl Iterator<Item = Result<RgbdFrame, E>>,
     front: &mut Front<'_>,
     mut worker: MapperWorker<M>,
@@ -25,7 +25,7 @@ pub fn run<E: Error + 'static, M: GaussianModel + Send>(
     // One message per frame: the channel's capacity is the number of frames the tracker may be
     // ahead, and sending blocks it when the mapper falls behind.
     let (to_mapper, from_tracker) = bounded::<Option<Keyframe>>(MAX_FRAMES_AHEAD);
-    let (to_tracker, from_mapper) = unbounded::<SparseChanges>();
+    let (to_tracker, from_mapper) = unbounded::<Vec<SparseId>>();
     let map = &MapSize::default();
     thread::scope(|scope| {
         let mapping = scope.spawn(move || {

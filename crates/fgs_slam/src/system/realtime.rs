@@ -11,7 +11,7 @@ use std::time::{Duration, Instant};
 
 use crossbeam_channel::{Receiver, RecvTimeoutError, Sender, TryRecvError, unbounded};
 use fgs_geom::RgbdFrame;
-use fgs_splat::{GaussianModel, SparseChanges};
+use fgs_splat::{GaussianModel, SparseId};
 use rayon::{ThreadPool, ThreadPoolBuildError, ThreadPoolBuilder};
 
 use super::SlamError;
@@ -24,7 +24,7 @@ use crate::tracker::Tracker;
 /// moment's delay, and less than people notice as lag.
 const MAX_WAIT: Duration = Duration::from_millis(100);
 
-pub fn run<E: Error + 'static, M: GaussianModel + Send>(
+pub fn run<E: Error + 'static, M: GaussianModel>(
     frames: impl Iterator<Item = Result<RgbdFrame, E>>,
     front: &mut Front<'_>,
     mut worker: MapperWorker<M>,
@@ -32,7 +32,7 @@ pub fn run<E: Error + 'static, M: GaussianModel + Send>(
     front.compute_on(pool("tracker", tracker_threads())?);
     let mapper_pool = pool("mapper", rayon::current_num_threads())?;
     let (to_mapper, from_tracker) = unbounded::<Keyframe>();
-    let (to_tracker, from_mapper) = unbounded::<SparseChanges>();
+    let (to_tracker, from_mapper) = unbounded::<Vec<SparseId>>();
     let map = &MapSize::default();
     thread::scope(|scope| {
         let mapping = scope.spawn(move || {
@@ -76,7 +76,7 @@ fn pool(name: &'static str, threads: usize) -> Result<ThreadPool, ThreadPoolBuil
 fn follow_mapper_until(
     until: Instant,
     tracker: &mut Tracker,
-    from_mapper: &Receiver<SparseChanges>,
+    from_mapper: &Receiver<Vec<SparseId>>,
 ) -> Option<()> {
     loop {
         match from_mapper.recv_deadline(until) {
@@ -91,7 +91,7 @@ fn follow_mapper_until(
 fn optimize_until_disconnected<M: GaussianModel>(
     worker: &mut MapperWorker<M>,
     from_tracker: &Receiver<Keyframe>,
-    to_tracker: &Sender<SparseChanges>,
+    to_tracker: &Sender<Vec<SparseId>>,
     map: &MapSize,
 ) {
     let Ok(mut newest) = from_tracker.recv().map(Some) else {

@@ -4,7 +4,7 @@ use std::sync::atomic::Ordering;
 use std::thread;
 use std::time::{Duration, Instant};
 
-use fgs_splat::{GaussianModel, SparseChanges};
+use fgs_splat::{GaussianModel, SparseId};
 
 use super::SlamError;
 use super::front::MapSize;
@@ -62,7 +62,7 @@ impl<M: GaussianModel> MapperWorker<M> {
         &mut self,
         keyframe: Option<&Keyframe>,
         map: &MapSize,
-    ) -> Option<SparseChanges> {
+    ) -> Option<Vec<SparseId>> {
         let steps = self.budget.next_frame();
         self.work(map, |mapper| {
             keyframe.map_or(Ok(()), |keyframe| mapper.insert(keyframe))?;
@@ -75,9 +75,9 @@ impl<M: GaussianModel> MapperWorker<M> {
         &mut self,
         map: &MapSize,
         work: impl FnOnce(&mut Mapper<M>) -> Result<(), MapperError>,
-    ) -> Option<SparseChanges> {
+    ) -> Option<Vec<SparseId>> {
         let start = Instant::now();
-        let changes = work(&mut self.mapper).and_then(|()| self.mapper.take_sparse_changes());
+        let changes = work(&mut self.mapper).and_then(|()| self.mapper.take_removed());
         self.busy += start.elapsed();
         map.gaussians
             .store(self.mapper.num_gaussians(), Ordering::Relaxed);

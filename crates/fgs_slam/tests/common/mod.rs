@@ -2,7 +2,7 @@
 
 #![allow(clippy::unwrap_used)]
 
-use fgs_geom::{Image, RgbdFrame, Se3, View};
+use fgs_geom::{Image, KeyframeId, RgbdFrame, Se3, View};
 use fgs_slam::{SlamConfig, SlamOutput};
 use fgs_splat::{CpuModel, GaussianModel, Seeds};
 use fgs_synth::{SensorModel, Sequence, kinect_camera};
@@ -43,7 +43,7 @@ pub fn psnr_of_map_db(output: &SlamOutput, sequence: &Sequence, index: usize) ->
         gaussians: output.gaussians.clone(),
         sparse_ids: vec![None; output.gaussians.len()],
     };
-    model.insert(&seeds).unwrap();
+    model.insert(&seeds, KeyframeId(0)).unwrap();
     let rendered = model
         .render(&View {
             camera: seen.camera,

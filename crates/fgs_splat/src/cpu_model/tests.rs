@@ -1,6 +1,6 @@
 //! The model's bookkeeping: views, covisibility, pruning, the sparse map, and that steps help.
 
-use fgs_geom::{Camera, Image, Intrinsics, Se3};
+use fgs_geom::{Camera, Image, Intrinsics, KeyframeId, Se3};
 use nalgebra::Vector6;
 
 use super::*;
@@ -8,6 +8,9 @@ use crate::Gaussian;
 
 const W: usize = 33;
 const H: usize = 24;
+
+/// The keyframe of most tests.
+const KEYFRAME: KeyframeId = KeyframeId(7);
 
 /// A camera at the origin, turned about y by the angle.
 fn view(angle_rad: f64) -> View {
@@ -55,7 +58,7 @@ fn target() -> Target {
 
 fn model() -> CpuModel {
     let mut model = CpuModel::default();
-    model.insert(&wall()).unwrap();
+    model.insert(&wall(), KEYFRAME).unwrap();
     model
 }
 
@@ -67,10 +70,10 @@ fn the_regularizer_counts_by_its_weight() {
         let mut settings = ModelSettings::default();
         settings.loss.scale_weight = scale_weight;
         let mut model = CpuModel::new(settings);
-        model.insert(&wall()).unwrap();
-        let id = model.add_view(view(0.0), target()).unwrap();
+        model.insert(&wall(), KEYFRAME).unwrap();
+        model.add_view(KEYFRAME, view(0.0), target()).unwrap();
         for _ in 0..30 {
-            model.step(id).unwrap();
+            model.step(KEYFRAME).unwrap();
         }
         let log_scales = model.gaussians().unwrap().log_scales;
         let uneven = log_scales.iter().map(|[x, y, _]| (x - y).abs());
@@ -84,31 +87,31 @@ fn the_regularizer_counts_by_its_weight() {
 #[test]
 fn steps_lower_the_loss() {
     let mut model = model();
-    let id = model.add_view(view(0.0), target()).unwrap();
+    model.add_view(KEYFRAME, view(0.0), target()).unwrap();
     // A colour moves by 0.28 of the learning rate 1e-2 a step, and has up to 0.45 to go.
     for _ in 0..100 {
-        model.step(id).unwrap();
+        model.step(KEYFRAME).unwrap();
     }
     let stats = model.take_stats();
     assert_eq!(stats.len(), 100);
     assert!(stats[99].loss <= 0.5 * stats[0].loss, "{stats:?}");
-    assert!(stats.iter().all(|s| s.view == id && s.visible > 50));
+    assert!(stats.iter().all(|s| s.view == KEYFRAME && s.visible > 50));
     assert!(model.take_stats().is_empty());
 }
 
 #[test]
 fn covisible_is_what_both_views_show() {
     let mut model = model();
-    let ahead = model.add_view(view(0.0), target()).unwrap();
-    let again = model.add_view(view(0.0), target()).unwrap();
-    let aside = model.add_view(view(0.4), target()).unwrap();
-    let behind = model.add_view(view(3.1), target()).unwrap();
+    let [behind, again, ahead, aside] = [0, 2, 3, 5].map(KeyframeId);
+    for (id, angle) in [(ahead, 0.0), (again, 0.0), (aside, 0.4), (behind, 3.1)] {
+        model.add_view(id, view(angle), target()).unwrap();
+    }
     let shares = model.covisibility(ahead).unwrap();
-    let ids: Vec<ViewId> = shares.iter().map(|(id, _)| *id).collect();
-    assert_eq!(ids, [again, aside, behind]);
-    assert_eq!(shares[0].1, 1.0);
-    assert!((0.3..0.9).contains(&shares[1].1), "{shares:?}");
-    assert_eq!(shares[2].1, 0.0);
+    let ids: Vec<KeyframeId> = shares.iter().map(|(id, _)| *id).collect();
+    assert_eq!(ids, [behind, again, aside]);
+    assert_eq!(shares[0].1, 0.0);
+    assert_eq!(shares[1].1, 1.0);
+    assert!((0.3..0.9).contains(&shares[2].1), "{shares:?}");
     model.drop_view(again).unwrap();
     assert_eq!(model.covisibility(ahead).unwrap().len(), 2);
 }
@@ -123,29 +126,32 @@ fn pruning_removes_the_faint_the_long_and_the_narrow_and_nothing_else() {
     seeds.gaussians.log_scales[31] = [0.1f32.ln(), 0.009f32.ln(), -9.0];
     seeds.gaussians.means[40] = [f32::NAN; 3];
     seeds.gaussians.log_scales[40][0] = f32::NAN;
-    model.insert(&seeds).unwrap();
-    let ahead = model.add_view(view(0.0), target()).unwrap();
-    let aside = model.add_view(view(0.4), target()).unwrap();
+    model.insert(&seeds, KEYFRAME).unwrap();
+    let [ahead, aside, fresh] = [0, 1, 2].map(KeyframeId);
+    model.add_view(ahead, view(0.0), target()).unwrap();
+    model.add_view(aside, view(0.4), target()).unwrap();
     let rule = PruneRule {
         min_opacity: 0.005,
         max_scale_m: 0.25,
         max_aspect: 10.0,
     };
     let count = seeds.gaussians.len();
-    assert_eq!(model.prune(&rule).unwrap(), 4);
+    model.prune(&rule).unwrap();
     assert_eq!(model.len(), count - 4);
     let kept: Vec<[f32; 3]> = (0..count)
         .filter(|i| ![10, 20, 31, 40].contains(i))
         .map(|i| seeds.gaussians.means[i])
         .collect();
     assert_eq!(model.gaussians().unwrap().means, kept);
-    let changes = model.take_sparse_changes().unwrap();
-    assert_eq!(changes.removed, [10, 20, 40].map(SparseId));
-    assert_eq!(model.prune(&rule).unwrap(), 0);
+    let removed = model.take_removed().unwrap();
+    assert_eq!(removed, [10, 20, 40].map(SparseId));
+    assert_eq!(model.take_removed().unwrap(), []);
+    model.prune(&rule).unwrap();
+    assert_eq!(model.len(), count - 4);
     // What the views show has moved up with the gaussians.
     let before = model.covisibility(ahead).unwrap();
     model.drop_view(aside).unwrap();
-    let fresh = model.add_view(view(0.4), target()).unwrap();
+    model.add_view(fresh, view(0.4), target()).unwrap();
     let after = model.covisibility(ahead).unwrap();
     assert_eq!(before, [(aside, after[0].1)]);
     assert_eq!(after[0].0, fresh);
@@ -153,50 +159,33 @@ fn pruning_removes_the_faint_the_long_and_the_narrow_and_nothing_else() {
 }
 
 #[test]
-fn sparse_changes_are_those_of_the_gaussians_that_steps_touched() {
-    let mut model = model();
-    assert_eq!(
-        model.take_sparse_changes().unwrap(),
-        SparseChanges::default()
-    );
-    let id = model.add_view(view(0.4), target()).unwrap();
-    model.step(id).unwrap();
-    let moved = model.take_sparse_changes().unwrap().moved;
-    let sparse = wall().sparse_ids.iter().flatten().count();
-    assert!(moved.len() > 20 && moved.len() < sparse);
-    let gaussians = model.gaussians().unwrap();
-    for sparse in moved {
-        assert_eq!(sparse.id.0 % 2, 0);
-        assert_eq!(sparse.mean, gaussians.means[sparse.id.0 as usize]);
-    }
-    assert!(model.take_sparse_changes().unwrap().moved.is_empty());
-}
-
-#[test]
 fn wrong_calls_are_refused() {
-    let mut model = model();
-    let id = model.add_view(view(0.0), target()).unwrap();
+    let (mut model, id) = (model(), KEYFRAME);
+    model.add_view(id, view(0.0), target()).unwrap();
+    let again = model.add_view(id, view(0.0), target());
+    assert_eq!(again, Err(ModelError::ViewExists(id)));
     model.drop_view(id).unwrap();
     assert_eq!(model.step(id), Err(ModelError::NoSuchView(id)));
     assert_eq!(model.drop_view(id), Err(ModelError::NoSuchView(id)));
     assert_eq!(model.covisibility(id), Err(ModelError::NoSuchView(id)));
-    assert_ne!(model.add_view(view(0.0), target()).unwrap(), id);
     let small = Target::new(Image::filled(3, 2, [0; 3]), Image::filled(3, 2, 1.0)).unwrap();
-    let refused = model.add_view(view(0.0), small);
+    let refused = model.add_view(id, view(0.0), small);
     assert!(matches!(
         refused,
         Err(ModelError::TargetSize { actual: (3, 2), .. })
     ));
+    // What was dropped may come back.
+    model.add_view(id, view(0.0), target()).unwrap();
     let mut ragged = wall();
     ragged.gaussians.sh.pop();
-    assert_eq!(model.insert(&ragged), Err(ModelError::RaggedSeeds));
+    assert_eq!(model.insert(&ragged, id), Err(ModelError::RaggedSeeds));
 }
 
 #[test]
 fn an_empty_map_is_black_and_can_be_stepped() {
     let mut model = CpuModel::default();
-    let id = model.add_view(view(0.0), target()).unwrap();
-    model.step(id).unwrap();
+    model.add_view(KEYFRAME, view(0.0), target()).unwrap();
+    model.step(KEYFRAME).unwrap();
     let rendered = model.render(&view(0.0)).unwrap();
     assert!(rendered.color.data().iter().all(|rgb| *rgb == [0.0; 3]));
     assert!(model.is_empty());

@@ -31,6 +31,7 @@ const KEPT: Group = &[
     ("gaussians", size_of::<Gaussian>()),
     ("first_moments", 4 * VEC4),
     ("second_moments", 4 * VEC4),
+    ("anchors", WORD),
 ];
 /// By gaussian or splat, of one pass.
 const PER_GAUSSIAN: Group = &[

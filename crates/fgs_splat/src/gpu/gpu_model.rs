@@ -3,23 +3,22 @@
 
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
-use fgs_geom::View;
+use fgs_geom::{Image, KeyframeId, Se3, View};
 
 use super::buffers::Buffers;
 use super::device::GpuDevice;
 use super::error::GpuError;
 use super::layout::{self, Gaussian};
-use super::parameters::{from_device, sparse_from_device, to_device};
+use super::parameters::{from_device, motions_to_device, to_device};
 use super::readback::{Landing, read, read_both};
 use super::recorder::{Groups, Recorder};
-use super::steps::{InFlight, TOUCHED_SET};
+use super::steps::InFlight;
 use super::targets::ResidentTargets;
-use super::whole_map::MIN_EXPECTED_MOVES;
 use crate::adam::Corrections;
 use crate::model::{
-    GaussianModel, ModelError, ModelSettings, PruneRule, Seeds, SparseChanges, SparseId, StepStats,
-    ViewId,
+    GaussianModel, ModelError, ModelSettings, PruneRule, Seeds, SparseId, StepStats, check_view,
 };
+use crate::rigid_motion::{by_keyframe, moved};
 use crate::{Gaussians, Rendered, Target};
 
 /// Steps that the device may be behind the host: enough that it never waits for one.
@@ -33,20 +32,17 @@ pub struct GpuModel {
     pub(super) settings: ModelSettings,
     pub(super) buffers: Buffers,
     pub(super) count: usize,
-    pub(super) views: BTreeMap<ViewId, TrainingView>,
-    pub(super) next_view: usize,
+    pub(super) views: BTreeMap<KeyframeId, TrainingView>,
     pub(super) free_sets: BTreeSet<u32>,
     pub(super) targets: ResidentTargets,
     /// The view whose target the stages are bound to.
-    pub(super) bound_target: Option<ViewId>,
+    pub(super) bound_target: Option<KeyframeId>,
     pub(super) in_flight: VecDeque<InFlight>,
     pub(super) landings: Vec<Landing>,
     pub(super) stats: Vec<StepStats>,
     pub(super) repeated_steps: usize,
-    /// Sparse gaussians pruned since they were last asked for.
+    /// Pruned gaussians of the sparse map that have not been reported.
     pub(super) removed: Vec<SparseId>,
-    /// About how many sparse gaussians move between two times that they are asked for.
-    pub(super) expected_moves: usize,
     /// The map as the host last knew it, for when the device is lost.
     pub(super) last_known: Gaussians,
 }
@@ -97,13 +93,12 @@ impl GpuModel {
             .collect();
         buffers.set("corrections", device.buffer_of("corrections", &corrections));
         Ok(Self {
-            free_sets: (TOUCHED_SET + 1..buffers.sets() as u32).collect(),
+            free_sets: (0..buffers.sets() as u32).collect(),
             device,
             settings,
             buffers,
             count: 0,
             views: BTreeMap::new(),
-            next_view: 0,
             targets: ResidentTargets::new(max_resident_views),
             bound_target: None,
             in_flight: VecDeque::new(),
@@ -111,7 +106,6 @@ impl GpuModel {
             stats: Vec::new(),
             repeated_steps: 0,
             removed: Vec::new(),
-            expected_moves: MIN_EXPECTED_MOVES,
             last_known: Gaussians::default(),
         })
     }
@@ -133,13 +127,9 @@ impl GaussianModel for GpuModel {
         self.count
     }
 
-    fn add_view(&mut self, view: View, target: Target) -> Result<ViewId, ModelError> {
+    fn add_view(&mut self, id: KeyframeId, view: View, target: Target) -> Result<(), ModelError> {
+        check_view(self.views.contains_key(&id), id, &view, &target)?;
         self.finish_steps()?;
-        let expected = (view.camera.width, view.camera.height);
-        let actual = (target.color().width(), target.color().height());
-        if expected != actual {
-            return Err(ModelError::TargetSize { expected, actual });
-        }
         let set = match self.free_sets.pop_first() {
             Some(set) => set,
             None => {
@@ -149,17 +139,15 @@ impl GaussianModel for GpuModel {
                 set
             }
         };
-        let id = ViewId(self.next_view);
-        self.next_view += 1;
         self.views.insert(id, TrainingView { view, target, set });
         if let Err(error) = self.see_again(id) {
             self.drop_view(id)?;
             return Err(error);
         }
-        Ok(id)
+        Ok(())
     }
 
-    fn drop_view(&mut self, id: ViewId) -> Result<(), ModelError> {
+    fn drop_view(&mut self, id: KeyframeId) -> Result<(), ModelError> {
         self.finish_steps()?;
         let dropped = self.views.remove(&id).ok_or(ModelError::NoSuchView(id))?;
         self.free_sets.insert(dropped.set);
@@ -167,7 +155,7 @@ impl GaussianModel for GpuModel {
         Ok(())
     }
 
-    fn insert(&mut self, seeds: &Seeds) -> Result<(), ModelError> {
+    fn insert(&mut self, seeds: &Seeds, anchor: KeyframeId) -> Result<(), ModelError> {
         self.finish_steps()?;
         let added = seeds.sparse_ids.len();
         if !seeds.gaussians.has_len(added) {
@@ -187,11 +175,27 @@ impl GaussianModel for GpuModel {
         let gaussians = self.buffers.get("gaussians")?;
         let queue = self.device.queue();
         queue.write_buffer(gaussians, start, bytemuck::cast_slice(&rows));
+        let (anchors, start) = (vec![anchor.0; added], 4 * self.count as u64);
+        let buffer = self.buffers.get("anchors")?;
+        queue.write_buffer(buffer, start, bytemuck::cast_slice(&anchors));
         self.count = count;
         Ok(self.device.check()?)
     }
 
-    fn prune(&mut self, rule: &PruneRule) -> Result<usize, ModelError> {
+    fn move_anchored(&mut self, moves: &[(KeyframeId, Se3)]) -> Result<(), ModelError> {
+        let motions = by_keyframe(moves)?;
+        for (id, training) in &mut self.views {
+            if let Some(motion) = motions.get(id) {
+                training.view = moved(&training.view, motion);
+            }
+        }
+        if !motions.is_empty() {
+            self.submit_move(motions_to_device(&motions))?;
+        }
+        Ok(())
+    }
+
+    fn prune(&mut self, rule: &PruneRule) -> Result<(), ModelError> {
         self.finish_steps()?;
         Ok(self.remove(rule)?)
     }
@@ -221,18 +225,23 @@ impl GaussianModel for GpuModel {
         Ok(rendered)
     }
 
-    fn step(&mut self, id: ViewId) -> Result<(), ModelError> {
+    fn see_through(&mut self, view: &View, min_alpha: f32) -> Result<Image<bool>, ModelError> {
+        let rendered = self.render(view)?;
+        Ok(rendered.alpha.map(|alpha| *alpha < min_alpha))
+    }
+
+    fn step(&mut self, id: KeyframeId) -> Result<(), ModelError> {
         if self.in_flight.len() >= MAX_IN_FLIGHT {
-            self.retire_step()?;
+            self.retire()?;
         }
-        self.submit_step(id, None)
+        self.submit_step(id, &self.view_of(id)?, None)
     }
 
     fn take_stats(&mut self) -> Vec<StepStats> {
         std::mem::take(&mut self.stats)
     }
 
-    fn covisibility(&mut self, id: ViewId) -> Result<Vec<(ViewId, f32)>, ModelError> {
+    fn covisibility(&mut self, id: KeyframeId) -> Result<Vec<(KeyframeId, f32)>, ModelError> {
         self.finish_steps()?;
         let own = self.views.get(&id).ok_or(ModelError::NoSuchView(id))?;
         let sets = self.buffers.sets();
@@ -254,14 +263,10 @@ impl GaussianModel for GpuModel {
             .collect())
     }
 
-    fn take_sparse_changes(&mut self) -> Result<SparseChanges, ModelError> {
-        self.finish_steps()?;
+    fn take_removed(&mut self) -> Result<Vec<SparseId>, ModelError> {
         let mut removed = std::mem::take(&mut self.removed);
         removed.sort_unstable();
-        Ok(SparseChanges {
-            moved: sparse_from_device(&self.take_moved()?),
-            removed,
-        })
+        Ok(removed)
     }
 
     fn gaussians(&mut self) -> Result<Gaussians, ModelError> {
@@ -273,7 +278,7 @@ impl GaussianModel for GpuModel {
         self.buffers.bytes() + self.targets.bytes()
     }
 
-    fn into_gaussians(mut self) -> Gaussians {
+    fn into_gaussians(mut self: Box<Self>) -> Gaussians {
         // What a step has found wrong is no reason to lose what the others did.
         let _ = self.finish_steps();
         match self.read_gaussians() {

@@ -116,9 +116,8 @@ device_structs! {
         tile_rows: u32,
         /// The word where the view's set of visible gaussians starts, or `NONE`.
         set_start: u32,
-        /// The same of the set of all that were touched.
-        touched_start: u32,
-        padding: [f32; 2],
+        padding_0: u32,
+        padding_1: [f32; 2],
     }
 
     /// A gaussian's parameters as they are stored, its steps and its name in the sparse map.
@@ -214,6 +213,22 @@ device_structs! {
         max_log_scale: f32,
         /// Logarithm of the ratio of the two longer axes.
         max_log_aspect: f32,
+    }
+
+    /// The rigid motion of the gaussians anchored to a keyframe.
+    struct Motion {
+        /// Rows of the rotation.
+        row_x: [f32; 3],
+        anchor: u32,
+        row_y: [f32; 3],
+        padding_0: u32,
+        row_z: [f32; 3],
+        padding_1: u32,
+        /// Metres.
+        translation: [f32; 3],
+        padding_2: u32,
+        /// The rotation as a quaternion, wxyz.
+        quat: [f32; 4],
     }
 
     /// Sets of gaussians to be compared.

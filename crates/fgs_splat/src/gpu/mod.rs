@@ -25,7 +25,7 @@ mod stage;
 mod steps;
 mod targets;
 #[cfg(test)]
-mod tests;
+pub mod tests;
 mod timer;
 mod whole_map;
 

@@ -1,9 +1,12 @@
 //! Gaussians as the host keeps them, arrays of each parameter, and as the device does, one after
 //! the other.
 
-use super::layout::{Gaussian, NONE};
-use crate::gaussians::opacity;
-use crate::model::{SparseGaussian, SparseId};
+use std::collections::BTreeMap;
+
+use fgs_geom::{KeyframeId, Se3};
+
+use super::layout::{Gaussian, Motion, NONE};
+use crate::rigid_motion::RigidMotion;
 use crate::{Gaussians, Seeds};
 
 /// New gaussians, none of which has made a step.
@@ -33,18 +36,27 @@ pub fn from_device(rows: &[Gaussian]) -> Gaussians {
     }
 }
 
-/// As the tracker takes them, by ascending id.
-pub fn sparse_from_device(rows: &[Gaussian]) -> Vec<SparseGaussian> {
-    let mut sparse: Vec<SparseGaussian> = rows
-        .iter()
-        .map(|row| SparseGaussian {
-            id: SparseId(row.sparse_id),
-            mean: row.mean,
-            quat: row.quat,
-            log_scales: row.log_scales,
-            opacity: opacity(row.opacity_logit),
+/// Motions as the shader takes them, by ascending anchor.
+pub fn motions_to_device(motions: &BTreeMap<KeyframeId, Se3>) -> Vec<Motion> {
+    let motions = motions.iter();
+    motions
+        .map(|(id, motion)| {
+            let RigidMotion {
+                rotation,
+                left,
+                translation,
+            } = RigidMotion::from(motion);
+            let [row_x, row_y, row_z] = rotation.map(|row| row.map(|x| x as f32));
+            Motion {
+                row_x,
+                anchor: id.0,
+                row_y,
+                row_z,
+                translation: translation.map(|x| x as f32),
+                // The first column: what becomes of the identity.
+                quat: left.map(|row| row[0] as f32),
+                ..Motion::default()
+            }
         })
-        .collect();
-    sparse.sort_by_key(|gaussian| gaussian.id);
-    sparse
+        .collect()
 }

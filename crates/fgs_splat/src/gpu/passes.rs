@@ -44,8 +44,8 @@ pub fn view_uniform(view: &CameraView, count: usize, capacity: usize) -> layout:
         tile_columns: width.div_ceil(TILE),
         tile_rows: height.div_ceil(TILE),
         set_start: NONE,
-        touched_start: NONE,
-        padding: [0.0; 2],
+        padding_0: 0,
+        padding_1: [0.0; 2],
     }
 }
 

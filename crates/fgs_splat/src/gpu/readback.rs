@@ -7,6 +7,12 @@ use bytemuck::Pod;
 use super::device::GpuDevice;
 use super::error::GpuError;
 
+#[cfg(test)]
+thread_local! {
+    /// How many times this thread has waited for the device.
+    pub static WAITS: std::cell::Cell<usize> = const { std::cell::Cell::new(0) };
+}
+
 /// Entries of a buffer: the first of them, and how many.
 pub type Part<'a> = (&'a wgpu::Buffer, usize, usize);
 
@@ -115,6 +121,8 @@ impl Arrival {
         use_bytes: impl FnOnce(&[u8]) -> R,
     ) -> Result<(R, Landing), GpuError> {
         device.check()?;
+        #[cfg(test)]
+        WAITS.with(|waits| waits.set(waits.get() + 1));
         let poll = device.raw().poll(wgpu::PollType::Wait {
             submission_index: Some(self.submission),
             timeout: None,

@@ -133,13 +133,9 @@ pub const SHADER_FILES: &[ShaderFile] = &[
         ],
     },
     ShaderFile {
-        name: "sparse",
-        parts: &[
-            WORKGROUP_SCAN,
-            BLOCK_SCAN,
-            include_str!("shaders/sparse.wgsl"),
-        ],
-        entry_points: &["count_moved", "write_moved"],
+        name: "move_anchored",
+        parts: &[include_str!("shaders/move_anchored.wgsl")],
+        entry_points: &["move_anchored"],
     },
     ShaderFile {
         name: "scan_check",

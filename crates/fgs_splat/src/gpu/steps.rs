@@ -4,20 +4,17 @@
 //! until the host hears of it, makes room and repeats them in their order. So results depend on
 //! nothing but the calls and the device.
 
-use fgs_geom::View;
+use fgs_geom::{KeyframeId, View};
 
 use super::error::GpuError;
-use super::gpu_model::{GpuModel, TrainingView};
+use super::gpu_model::GpuModel;
 use super::layout::{self, Count};
 use super::passes::{loss_uniform, view_uniform};
 use super::readback::{Arrival, Landing, read};
 use super::recorder::Recorder;
 use super::timer::StageTimer;
-use crate::model::{GaussianModel, ModelError, StepStats, ViewId};
+use crate::model::{GaussianModel, ModelError, StepStats};
 use crate::{Cotangents, photometric_loss};
-
-/// The set of gaussians that steps touched since the sparse map was last asked for.
-pub(super) const TOUCHED_SET: u32 = 0;
 
 /// A step's stages and how much there was for them to do.
 #[derive(Clone, Debug, PartialEq)]
@@ -30,10 +27,22 @@ pub struct TimedStep {
     pub entries: usize,
 }
 
-/// A step that the device has not reported yet.
-pub(super) struct InFlight {
-    view: ViewId,
-    counts: Arrival,
+/// What was asked of the device and is not known to have happened: a step that finds no room makes
+/// void all that follows.
+pub(super) enum InFlight {
+    Step {
+        id: KeyframeId,
+        /// As it was then.
+        view: View,
+        counts: Arrival,
+    },
+    Move(Vec<layout::Motion>),
+}
+
+/// What is to be done again.
+enum Work {
+    Step(KeyframeId, View),
+    Move(Vec<layout::Motion>),
 }
 
 impl GpuModel {
@@ -41,14 +50,14 @@ impl GpuModel {
     ///
     /// # Errors
     /// If there is no such view, a rendered value is out of range or the device fails.
-    pub fn timed_step(&mut self, id: ViewId) -> Result<Option<TimedStep>, ModelError> {
+    pub fn timed_step(&mut self, id: KeyframeId) -> Result<Option<TimedStep>, ModelError> {
         self.finish_steps()?;
         let Some(mut timer) = StageTimer::new(&self.device)? else {
             return Ok(None);
         };
         loop {
             let repeated = self.repeated_steps;
-            self.submit_step(id, Some(&mut timer))?;
+            self.submit_step(id, &self.view_of(id)?, Some(&mut timer))?;
             self.finish_steps()?;
             let stages = timer.take(&self.device)?;
             // A step for which there was no room was repeated, untimed.
@@ -63,13 +72,13 @@ impl GpuModel {
         }
     }
 
-    /// Waits for all steps.
+    /// Waits for all steps and motions.
     ///
     /// # Errors
     /// If one of them found damaged values, or the device fails.
     pub fn finish_steps(&mut self) -> Result<(), ModelError> {
         while !self.in_flight.is_empty() {
-            self.retire_step()?;
+            self.retire()?;
         }
         Ok(())
     }
@@ -79,17 +88,24 @@ impl GpuModel {
         view_uniform(view, self.count, self.buffers.entries())
     }
 
-    /// Writes what the stages need to know of a registered view.
-    fn look_at(&mut self, id: ViewId) -> Result<(layout::View, layout::Loss), ModelError> {
-        let Some(training) = self.views.get(&id) else {
-            return Err(ModelError::NoSuchView(id));
-        };
-        let camera = training.view.camera;
+    /// Where a keyframe's view is now.
+    pub(super) fn view_of(&self, id: KeyframeId) -> Result<View, ModelError> {
+        let training = self.views.get(&id).ok_or(ModelError::NoSuchView(id))?;
+        Ok(training.view)
+    }
+
+    /// Writes what the stages need to know of a keyframe's view.
+    fn look_at(
+        &mut self,
+        id: KeyframeId,
+        view: &View,
+    ) -> Result<(layout::View, layout::Loss), ModelError> {
+        let training = self.views.get(&id).ok_or(ModelError::NoSuchView(id))?;
         self.buffers
-            .make_room_for_image(camera.width, camera.height)?;
+            .make_room_for_image(view.camera.width, view.camera.height)?;
         let view = layout::View {
             set_start: training.set * self.buffers.set_words() as u32,
-            ..self.view_uniform(&training.view)
+            ..self.view_uniform(view)
         };
         let loss = loss_uniform(&self.settings.loss, &training.target);
         let measured = self.targets.get(&self.device, id, &training.target)?;
@@ -101,39 +117,41 @@ impl GpuModel {
         Ok((view, loss))
     }
 
+    /// Asks for a step on a keyframe's view from a given pose.
     pub(super) fn submit_step(
         &mut self,
-        id: ViewId,
+        id: KeyframeId,
+        view: &View,
         timer: Option<&mut StageTimer>,
     ) -> Result<(), ModelError> {
         self.device.check()?;
-        let (view, loss) = self.look_at(id)?;
-        let view = layout::View {
-            touched_start: TOUCHED_SET * self.buffers.set_words() as u32,
-            ..view
-        };
-        self.write("view", bytemuck::bytes_of(&view))?;
+        let (uniform, loss) = self.look_at(id, view)?;
+        self.write("view", bytemuck::bytes_of(&uniform))?;
         let bytes = 4 * Count::ALL.len() as u64;
         let landing = match self.landings.pop() {
             Some(landing) => landing,
             None => Landing::new(&self.device, bytes)?,
         };
         let mut recorder = Recorder::new(&self.device, &mut self.buffers, timer);
-        recorder.forward(&view)?;
-        recorder.backward(&view, &loss)?;
+        recorder.forward(&uniform)?;
+        recorder.backward(&uniform, &loss)?;
         recorder.optimize()?;
         let counts = recorder.buffers.get("counts")?.clone();
         recorder
             .encoder()
             .copy_buffer_to_buffer(&counts, 0, landing.buffer(), 0, bytes);
-        let counts = landing.expect(recorder.submit());
-        self.in_flight.push_back(InFlight { view: id, counts });
+        self.in_flight.push_back(InFlight::Step {
+            id,
+            view: *view,
+            counts: landing.expect(recorder.submit()),
+        });
         Ok(())
     }
 
-    /// Waits for the oldest step that is in flight.
-    pub(super) fn retire_step(&mut self) -> Result<(), ModelError> {
-        let Some(InFlight { view, counts }) = self.in_flight.pop_front() else {
+    /// Waits for the oldest step that is in flight, unless what is oldest is no step.
+    pub(super) fn retire(&mut self) -> Result<(), ModelError> {
+        let Some(InFlight::Step { id, view, counts }) = self.in_flight.pop_front() else {
+            // All before it happened, so it did.
             return Ok(());
         };
         let (counts, landing) =
@@ -141,21 +159,30 @@ impl GpuModel {
         self.landings.push(landing);
         let count = |place: Count| counts[place as usize];
         if count(Count::OUT_OF_RANGE) != 0 {
-            self.forget_steps_in_flight()?;
-            return Err(self.what_is_out_of_range(view)?);
+            for work in self.forget_what_is_in_flight()? {
+                // The views have moved already.
+                if let Work::Move(motions) = work {
+                    self.submit_move(motions)?;
+                }
+            }
+            return Err(self.what_is_out_of_range(id, &view)?);
         }
         if count(Count::OVERFLOWED) != 0 {
-            let mut void = vec![view];
-            void.extend(self.forget_steps_in_flight()?);
-            self.repeated_steps += void.len();
+            let void = self.forget_what_is_in_flight()?;
             self.make_room(count(Count::ENTRIES_NEEDED))?;
-            for view in void {
-                self.submit_step(view, None)?;
+            for work in std::iter::once(Work::Step(id, view)).chain(void) {
+                match work {
+                    Work::Step(id, view) => {
+                        self.repeated_steps += 1;
+                        self.submit_step(id, &view, None)?;
+                    }
+                    Work::Move(motions) => self.submit_move(motions)?,
+                }
             }
             return Ok(());
         }
         self.stats.push(StepStats {
-            view,
+            view: id,
             loss: f32::from_bits(count(Count::LOSS)),
             visible: count(Count::TOUCHED) as usize,
             skipped_gradients: count(Count::SKIPPED) as usize,
@@ -163,17 +190,21 @@ impl GpuModel {
         Ok(())
     }
 
-    /// Waits for the steps in flight, which changed nothing, and lets the next one change things.
-    fn forget_steps_in_flight(&mut self) -> Result<Vec<ViewId>, GpuError> {
-        let steps = std::mem::take(&mut self.in_flight);
-        let mut views = Vec::new();
-        for InFlight { view, counts } in steps {
-            let ((), landing) = counts.take(&self.device, |_| ())?;
-            self.landings.push(landing);
-            views.push(view);
+    /// Waits for all that is in flight, which changed nothing, and lets what comes next change things.
+    fn forget_what_is_in_flight(&mut self) -> Result<Vec<Work>, GpuError> {
+        let mut void = Vec::new();
+        for work in std::mem::take(&mut self.in_flight) {
+            void.push(match work {
+                InFlight::Step { id, view, counts } => {
+                    let ((), landing) = counts.take(&self.device, |_| ())?;
+                    self.landings.push(landing);
+                    Work::Step(id, view)
+                }
+                InFlight::Move(motions) => Work::Move(motions),
+            });
         }
         self.clear_counts()?;
-        Ok(views)
+        Ok(void)
     }
 
     pub(super) fn read_counts(&self) -> Result<Vec<u32>, GpuError> {
@@ -193,15 +224,16 @@ impl GpuModel {
     }
 
     /// Why the render of a view cannot be compared with its target.
-    fn what_is_out_of_range(&mut self, id: ViewId) -> Result<ModelError, ModelError> {
-        let Some(TrainingView { view, .. }) = self.views.get(&id) else {
-            return Err(ModelError::NoSuchView(id));
-        };
-        let rendered = self.render(&view.clone())?;
-        let target = &self.views[&id].target;
+    fn what_is_out_of_range(
+        &mut self,
+        id: KeyframeId,
+        view: &View,
+    ) -> Result<ModelError, ModelError> {
+        let rendered = self.render(view)?;
+        let training = self.views.get(&id).ok_or(ModelError::NoSuchView(id))?;
         let loss = photometric_loss(
             &rendered,
-            target,
+            &training.target,
             &self.settings.loss,
             &mut Cotangents::default(),
         );
@@ -240,8 +272,8 @@ impl GpuModel {
 
     /// Finds which gaussians a view shows: the way back tells which ones a pixel took. Returns the
     /// counts.
-    pub(super) fn see_again(&mut self, id: ViewId) -> Result<Vec<u32>, ModelError> {
-        let (view, loss) = self.look_at(id)?;
+    pub(super) fn see_again(&mut self, id: KeyframeId) -> Result<Vec<u32>, ModelError> {
+        let (view, loss) = self.look_at(id, &self.view_of(id)?)?;
         self.run_to_the_end(&view, Some(&loss))
     }
 

@@ -3,16 +3,17 @@
 
 use std::collections::BTreeMap;
 
+use fgs_geom::KeyframeId;
+
 use super::device::GpuDevice;
 use super::error::GpuError;
 use crate::Target;
-use crate::model::ViewId;
 
 /// Targets by view.
 pub struct ResidentTargets {
     max: usize,
     /// With the time of their last use.
-    buffers: BTreeMap<ViewId, (wgpu::Buffer, u64)>,
+    buffers: BTreeMap<KeyframeId, (wgpu::Buffer, u64)>,
     uses: u64,
 }
 
@@ -34,7 +35,7 @@ impl ResidentTargets {
     pub fn get(
         &mut self,
         device: &GpuDevice,
-        id: ViewId,
+        id: KeyframeId,
         target: &Target,
     ) -> Result<wgpu::Buffer, GpuError> {
         self.uses += 1;
@@ -66,7 +67,7 @@ impl ResidentTargets {
     }
 
     /// Forgets a view.
-    pub fn remove(&mut self, id: ViewId) {
+    pub fn remove(&mut self, id: KeyframeId) {
         self.buffers.remove(&id);
     }
 

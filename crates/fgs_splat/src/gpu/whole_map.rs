@@ -1,20 +1,18 @@
-//! Passes over the whole map: pruning by compaction, and what has moved of the sparse map.
+//! Passes over the whole map: pruning by compaction, and rigid motions of keyframes' gaussians.
 
 use super::error::GpuError;
 use super::gpu_model::GpuModel;
 use super::layout::{self, Count, Gaussian, NONE};
 use super::parameters::from_device;
 use super::passes::{groups, workgroups};
-use super::readback::{read, read_both};
+use super::readback::read;
 use super::recorder::{Groups, Recorder};
+use super::steps::InFlight;
 use crate::model::{PruneRule, SparseId};
 
-/// Least number of moved sparse gaussians that are fetched unasked.
-pub(super) const MIN_EXPECTED_MOVES: usize = 1024;
-
 impl GpuModel {
-    /// Removes gaussians; returns how many.
-    pub(super) fn remove(&mut self, rule: &PruneRule) -> Result<usize, GpuError> {
+    /// Removes the gaussians that the rule rejects.
+    pub(super) fn remove(&mut self, rule: &PruneRule) -> Result<(), GpuError> {
         let rule = layout::Prune {
             count: self.count as u32,
             set_words: self.buffers.set_words() as u32,
@@ -36,41 +34,22 @@ impl GpuModel {
             self.count -= pruned;
             self.last_known = from_device(&self.read_gaussians()?);
         }
-        Ok(pruned)
+        Ok(())
     }
 
-    /// The gaussians of the sparse map that steps touched since they were last taken, in their order.
-    pub(super) fn take_moved(&mut self) -> Result<Vec<Gaussian>, GpuError> {
-        let all = layout::Prune {
-            count: self.count as u32,
-            ..Default::default()
-        };
-        self.write("rule", bytemuck::bytes_of(&all))?;
-        let by_gaussian = groups(self.count);
-        let set_bytes = 4 * self.buffers.set_words() as u64;
+    /// Moves the gaussians that the motions name, unless a step before this is void.
+    pub(super) fn submit_move(&mut self, motions: Vec<layout::Motion>) -> Result<(), GpuError> {
+        self.device.check()?;
+        let buffer = self.device.buffer_of("motions", &motions);
+        self.buffers.replace("motions", buffer);
         let mut recorder = Recorder::new(&self.device, &mut self.buffers, None);
-        let aliases = [("moved_gaussians", "gradients")];
-        recorder.run("count_moved", by_gaussian)?;
-        recorder.run("place_kept", Groups::Fixed(1, 1))?;
-        recorder.run_as("write_moved", 0, &aliases, by_gaussian)?;
-        let sets = recorder.buffers.get("visible_sets")?.clone();
-        recorder.encoder().clear_buffer(&sets, 0, Some(set_bytes));
+        recorder.run("move_anchored", groups(self.count))?;
         recorder.submit();
-        // How many there are is known only with them: about as many as last time.
-        let guess = self.expected_moves.min(self.count);
-        let (counts, rows) = (self.buffers.get("counts")?, self.buffers.get("gradients")?);
-        let (kept, mut moved): (Vec<u32>, Vec<Gaussian>) = read_both(
-            &self.device,
-            (counts, Count::KEPT as usize, 1),
-            (rows, 0, guess),
-        )?;
-        let kept = kept[0] as usize;
-        if kept > guess {
-            moved.extend(read::<Gaussian>(&self.device, rows, guess, kept - guess)?);
+        // With no step in flight, nothing can be void.
+        if !self.in_flight.is_empty() {
+            self.in_flight.push_back(InFlight::Move(motions));
         }
-        moved.truncate(kept);
-        self.expected_moves = kept + kept / 4 + MIN_EXPECTED_MOVES;
-        Ok(moved)
+        Ok(())
     }
 
     pub(super) fn read_gaussians(&self) -> Result<Vec<Gaussian>, GpuError> {
@@ -93,11 +72,13 @@ impl GpuModel {
             NEW_PLACES,
             ("moved_gaussians", "gradients"),
             ("removed_ids", "order"),
+            ("moved_anchors", "in_view"),
         ];
         recorder.run_as("move_survivors", 0, &aliases, by_gaussian)?;
         recorder.run_as("move_sets", 0, &[NEW_PLACES], by_word)?;
         recorder.submit();
         self.buffers.swap("gaussians", "gradients");
+        self.buffers.swap("anchors", "in_view");
         for moments in ["first_moments", "second_moments"] {
             let mut recorder = Recorder::new(&self.device, &mut self.buffers, None);
             let aliases = [NEW_PLACES, ("rows", moments), ("moved_rows", "gradients")];

@@ -8,8 +8,7 @@
 @group(0) @binding(5) var<storage, read> sums: array<array<vec4<f32>, 4>>;
 // Per splat.
 @group(0) @binding(6) var<storage, read_write> gradients: array<Gradient>;
-// Bits of gaussians that contributed to a pixel: when each view was last seen, and of any view
-// since the sparse map was last asked for.
+// Bits of the gaussians that contributed to a pixel when each view was last rendered.
 @group(0) @binding(7) var<storage, read_write> visible_sets: array<atomic<u32>>;
 
 @compute @workgroup_size(GROUP)
@@ -40,9 +39,6 @@ fn project_vjp(
             );
             let word = gaussian / 32u;
             let bit = 1u << (gaussian % 32u);
-            if view.touched_start != NONE {
-                atomicOr(&visible_sets[view.touched_start + word], bit);
-            }
             if view.set_start != NONE {
                 atomicOr(&visible_sets[view.set_start + word], bit);
             }

@@ -13,6 +13,8 @@
 @group(0) @binding(8) var<storage, read_write> moved_rows: array<array<vec4<f32>, 4>>;
 @group(0) @binding(9) var<storage, read> visible_sets: array<u32>;
 @group(0) @binding(10) var<storage, read_write> moved_sets: array<atomic<u32>>;
+@group(0) @binding(11) var<storage, read> anchors: array<u32>;
+@group(0) @binding(12) var<storage, read_write> moved_anchors: array<u32>;
 
 // Compares bits: a shader may take it that there is no NaN.
 fn is_number(x: f32) -> bool {
@@ -47,7 +49,6 @@ fn count_survivors(
     count_in_block(kept, block.x, thread);
 }
 
-// Also of what `sparse.wgsl` keeps.
 @compute @workgroup_size(GROUP)
 fn place_kept(@builtin(local_invocation_index) thread: u32) {
     let kept = scan_block_sums((rule.count + GROUP - 1u) / GROUP, thread);
@@ -73,6 +74,7 @@ fn move_survivors(
     }
     if kept {
         moved_gaussians[place] = gaussians[index];
+        moved_anchors[place] = anchors[index];
         new_from_old[index] = place;
     } else {
         removed_ids[index - place] = gaussians[index].sparse_id;

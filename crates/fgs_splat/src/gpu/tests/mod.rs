@@ -6,3 +6,5 @@ mod repeatability;
 mod scenes;
 mod shaders;
 mod stages;
+
+pub use device::device;

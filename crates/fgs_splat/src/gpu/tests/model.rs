@@ -1,7 +1,7 @@
 //! The whole model against the CPU's: steps, insertion, pruning, the sparse map, covisibility; and
 //! what happens when there is no room or no device any more.
 
-use fgs_geom::{Se3, View};
+use fgs_geom::{KeyframeId, Se3, View};
 use nalgebra::Vector6;
 
 use super::device::{device, open};
@@ -9,11 +9,11 @@ use super::scenes::{Scene, model_of, random_target, scenes, seeds};
 use crate::cpu::tests::scenes::{random_gaussians, random_view, rng, to_f32};
 use crate::gpu::gpu_model::GpuModel;
 use crate::gpu::layout::Count;
-use crate::gpu::readback::read;
+use crate::gpu::readback::{WAITS, read};
 use crate::gpu::stage::StageOptions;
 use crate::{
     CpuModel, Gaussian, GaussianModel, Gaussians, GpuError, LossError, LossSettings, ModelError,
-    ModelSettings, PruneRule, Target, ViewId,
+    ModelSettings, PruneRule, Target,
 };
 
 const RULE: PruneRule = PruneRule {
@@ -47,25 +47,32 @@ fn world(count: usize) -> World {
     World { gaussians, views }
 }
 
-fn fill(model: &mut impl GaussianModel, world: &World) -> Vec<ViewId> {
-    model.insert(&seeds(&world.gaussians)).unwrap();
-    let views = world.views.iter();
-    views
-        .map(|(view, target)| model.add_view(*view, target.clone()).unwrap())
-        .collect()
+/// Keyframes of the world's views; all gaussians are the first one's.
+const IDS: [KeyframeId; 3] = [KeyframeId(0), KeyframeId(1), KeyframeId(2)];
+
+fn fill(model: &mut impl GaussianModel, world: &World) {
+    model.insert(&seeds(&world.gaussians), IDS[0]).unwrap();
+    for (id, (view, target)) in IDS.iter().zip(&world.views) {
+        model.add_view(*id, *view, target.clone()).unwrap();
+    }
 }
 
 /// Steps, insertion and pruning by turns; at last insertion where pruning has left something.
-fn work(model: &mut impl GaussianModel, world: &World, ids: &[ViewId]) {
+fn work(model: &mut impl GaussianModel, world: &World) {
     for round in 0..12 {
-        model.step(ids[round % ids.len()]).unwrap();
+        model.step(IDS[round % IDS.len()]).unwrap();
         if round == 7 {
             model.prune(&RULE).unwrap();
         }
         if round == 4 || round == 7 {
-            model.insert(&seeds(&world.gaussians)).unwrap();
+            model.insert(&seeds(&world.gaussians), IDS[1]).unwrap();
         }
     }
+}
+
+/// A correction of a keyframe's pose.
+fn motion() -> Se3 {
+    Se3::exp(&Vector6::new(0.02, -0.05, 0.03, 0.05, -0.02, 0.01))
 }
 
 fn models(count: usize, settings: &ModelSettings) -> Option<(World, GpuModel, CpuModel)> {
@@ -108,10 +115,11 @@ fn a_step_moves_every_scene_as_on_the_cpu() {
                 return;
             };
             let mut cpu = CpuModel::new(settings.clone());
-            cpu.insert(&seeds(&scene.gaussians)).unwrap();
+            let id = IDS[0];
+            cpu.insert(&seeds(&scene.gaussians), id).unwrap();
             let target = random_target(&mut rng(seed), &scene.view);
-            let id = gpu.add_view(scene.view, target.clone()).unwrap();
-            cpu.add_view(scene.view, target).unwrap();
+            gpu.add_view(id, scene.view, target.clone()).unwrap();
+            cpu.add_view(id, scene.view, target).unwrap();
             gpu.step(id).unwrap();
             cpu.step(id).unwrap();
             compare_after_a_step(&scene, &settings, &mut gpu, &mut cpu);
@@ -192,10 +200,10 @@ fn many_steps_with_insertion_and_pruning_stay_with_the_cpu() {
     let Some((world, mut gpu, mut cpu)) = models(400, &ModelSettings::default()) else {
         return;
     };
-    let ids = fill(&mut gpu, &world);
-    assert_eq!(fill(&mut cpu, &world), ids);
-    work(&mut gpu, &world, &ids);
-    work(&mut cpu, &world, &ids);
+    fill(&mut gpu, &world);
+    fill(&mut cpu, &world);
+    work(&mut gpu, &world);
+    work(&mut cpu, &world);
     let lens = (gpu.len(), cpu.len());
     assert_eq!(lens.0, lens.1);
     assert!(lens.0 < 3 * world.gaussians.len());
@@ -223,22 +231,9 @@ fn many_steps_with_insertion_and_pruning_stay_with_the_cpu() {
         assert!((a / b - 1.0).abs() <= 2e-3, "{gpu_losses:?} {cpu_losses:?}");
     }
 
-    // The sparse map, of pruned gaussians too.
-    let (on_gpu, on_cpu) = (
-        gpu.take_sparse_changes().unwrap(),
-        cpu.take_sparse_changes().unwrap(),
-    );
-    assert_eq!(on_gpu.removed, on_cpu.removed);
-    let ids = |changes: &crate::SparseChanges| -> Vec<_> {
-        changes.moved.iter().map(|gaussian| gaussian.id).collect()
-    };
-    assert!(!on_gpu.removed.is_empty() && on_gpu.moved.len() > 20);
-    assert_eq!(ids(&on_gpu), ids(&on_cpu));
-    for (a, b) in on_gpu.moved.iter().zip(&on_cpu.moved) {
-        assert!((a.opacity - b.opacity).abs() <= 0.12 && (a.mean[0] - b.mean[0]).abs() <= 5e-3);
-    }
-    let again = gpu.take_sparse_changes().unwrap();
-    assert!(again.moved.is_empty() && again.removed.is_empty());
+    let removed = gpu.take_removed().unwrap();
+    assert_eq!(removed, cpu.take_removed().unwrap());
+    assert!(!removed.is_empty() && gpu.take_removed().unwrap().is_empty());
 }
 
 #[test]
@@ -246,39 +241,36 @@ fn covisibility_is_the_cpus_through_pruning_and_growing() {
     let Some((world, mut gpu, mut cpu)) = models(500, &ModelSettings::default()) else {
         return;
     };
-    let ids = fill(&mut gpu, &world);
+    fill(&mut gpu, &world);
     fill(&mut cpu, &world);
     // More views than there are sets at first, and more gaussians than there is room for.
-    let extra: Vec<(ViewId, ViewId)> = (0..20)
-        .map(|i| {
-            let (view, target) = &world.views[i % 3];
-            let ids = [
-                gpu.add_view(*view, target.clone()).unwrap(),
-                cpu.add_view(*view, target.clone()).unwrap(),
-            ];
-            (ids[0], ids[1])
-        })
-        .collect();
+    let extra: Vec<KeyframeId> = (10..30).map(KeyframeId).collect();
+    for (i, id) in extra.iter().enumerate() {
+        let (view, target) = &world.views[i % 3];
+        gpu.add_view(*id, *view, target.clone()).unwrap();
+        cpu.add_view(*id, *view, target.clone()).unwrap();
+    }
     let mut many = Gaussians::default();
     for _ in 0..40 {
         many.extend(&world.gaussians);
     }
-    gpu.insert(&seeds(&many)).unwrap();
-    cpu.insert(&seeds(&many)).unwrap();
-    assert_eq!(gpu.prune(&RULE).unwrap(), cpu.prune(&RULE).unwrap());
+    gpu.insert(&seeds(&many), IDS[0]).unwrap();
+    cpu.insert(&seeds(&many), IDS[0]).unwrap();
+    gpu.prune(&RULE).unwrap();
+    cpu.prune(&RULE).unwrap();
+    assert_eq!(gpu.len(), cpu.len());
     for id in extra.iter().step_by(2) {
-        assert_eq!(id.0, id.1);
-        gpu.drop_view(id.0).unwrap();
-        cpu.drop_view(id.1).unwrap();
+        gpu.drop_view(*id).unwrap();
+        cpu.drop_view(*id).unwrap();
     }
     assert!(matches!(
-        gpu.drop_view(extra[0].0),
+        gpu.drop_view(extra[0]),
         Err(ModelError::NoSuchView(_))
     ));
-    let (view, target) = &world.views[1];
-    let new = gpu.add_view(*view, target.clone()).unwrap();
-    assert_eq!(cpu.add_view(*view, target.clone()).unwrap(), new);
-    for id in [ids[0], ids[2], extra[1].0, new] {
+    let ((view, target), new) = (&world.views[1], extra[0]);
+    gpu.add_view(new, *view, target.clone()).unwrap();
+    cpu.add_view(new, *view, target.clone()).unwrap();
+    for id in [IDS[0], IDS[2], extra[1], new] {
         let (on_gpu, on_cpu) = (gpu.covisibility(id).unwrap(), cpu.covisibility(id).unwrap());
         assert_eq!(on_gpu.len(), on_cpu.len());
         for ((a_id, a), (b_id, b)) in on_gpu.iter().zip(&on_cpu) {
@@ -300,20 +292,15 @@ fn covisibility_is_the_cpus_through_pruning_and_growing() {
 
 #[test]
 fn what_was_seen_stays_known_when_buffers_grow() {
-    let Some((world, mut gpu, mut cpu)) = models(45, &ModelSettings::default()) else {
+    let Some((world, mut gpu, _)) = models(45, &ModelSettings::default()) else {
         return;
     };
-    let ids = fill(&mut gpu, &world);
-    fill(&mut cpu, &world);
-    gpu.step(ids[1]).unwrap();
-    cpu.step(ids[1]).unwrap();
-    let before: Vec<_> = ids.iter().map(|id| gpu.covisibility(*id)).collect();
-    gpu.insert(&seeds(&Gaussians::zeros(20_000))).unwrap();
-    let after: Vec<_> = ids.iter().map(|id| gpu.covisibility(*id)).collect();
-    assert_eq!(before, after);
-    let moved = gpu.take_sparse_changes().unwrap().moved.len();
-    let expected = cpu.take_sparse_changes().unwrap().moved.len();
-    assert!(expected > 3 && moved.abs_diff(expected) <= 1);
+    fill(&mut gpu, &world);
+    gpu.step(IDS[1]).unwrap();
+    let before = IDS.map(|id| gpu.covisibility(id));
+    gpu.insert(&seeds(&Gaussians::zeros(20_000)), IDS[0])
+        .unwrap();
+    assert_eq!(before, IDS.map(|id| gpu.covisibility(id)));
 }
 
 #[test]
@@ -325,14 +312,15 @@ fn a_render_stays_as_it_is_when_buffers_grow() {
     for log_scales in &mut large.log_scales {
         *log_scales = [1.0; 3];
     }
-    gpu.insert(&seeds(&large)).unwrap();
+    gpu.insert(&seeds(&large), IDS[0]).unwrap();
     let view = View {
         camera: random_view(&mut rng(6), 256, 256).camera,
         ..world.views[0].0
     };
     let before = gpu.render(&view).unwrap();
     // The lists are longer than the gaussians are many.
-    gpu.insert(&seeds(&Gaussians::zeros(20_000))).unwrap();
+    gpu.insert(&seeds(&Gaussians::zeros(20_000)), IDS[0])
+        .unwrap();
     assert!(gpu.render(&view).unwrap() == before);
 }
 
@@ -359,26 +347,55 @@ fn without_room_steps_are_repeated_and_nothing_is_lost() {
     let run = |entries| {
         let settings = ModelSettings::default();
         let mut model = GpuModel::with_entries(device.clone(), settings, 2, entries).unwrap();
-        model.insert(&seeds(&world.gaussians.clone())).unwrap();
-        let ids: Vec<ViewId> = (world.views.iter())
-            .map(|(view, target)| model.add_view(*view, target.clone()).unwrap())
-            .collect();
+        fill(&mut model, &world);
         model.shrink_entries(entries);
-        model.step(ids[0]).unwrap();
-        let moved = model.take_sparse_changes().unwrap().moved;
+        for id in [IDS[0], IDS[1]] {
+            model.step(id).unwrap();
+            model.move_anchored(&[(IDS[0], motion())]).unwrap();
+        }
+        model.gaussians().unwrap();
         model.shrink_entries(entries);
-        work(&mut model, &world, &ids);
+        work(&mut model, &world);
         let gaussians = model.gaussians().unwrap();
         let stats = model.take_stats();
-        (gaussians, moved, stats, model.repeated_steps())
+        (gaussians, stats, model.repeated_steps())
     };
-    let (roomy, roomy_moved, roomy_stats, repeated) = run(1 << 16);
+    let (roomy, roomy_stats, repeated) = run(1 << 16);
     assert_eq!(repeated, 0);
-    let (tight, tight_moved, tight_stats, repeated) = run(300);
-    assert!(repeated >= 2);
+    let (tight, tight_stats, repeated) = run(300);
+    assert!(repeated >= 4);
     assert_eq!(tight_stats, roomy_stats);
-    assert_eq!(tight_moved, roomy_moved);
     assert!(tight == roomy);
+}
+
+/// How many times something waits for the device.
+fn waits(something: impl FnOnce()) -> usize {
+    let before = WAITS.get();
+    something();
+    WAITS.get() - before
+}
+
+#[test]
+fn an_ordinary_frame_does_not_wait_for_the_device() {
+    let Some((world, mut gpu, _)) = models(200, &ModelSettings::default()) else {
+        return;
+    };
+    fill(&mut gpu, &world);
+    let frame = |gpu: &mut GpuModel| {
+        gpu.step(IDS[0]).unwrap();
+        gpu.step(IDS[1]).unwrap();
+        gpu.take_stats();
+        gpu.take_removed().unwrap();
+        gpu.move_anchored(&[(IDS[0], motion())]).unwrap();
+    };
+    assert_eq!(waits(|| frame(&mut gpu)), 0);
+    // Later on, only where more is on its way than there may be, and then for the oldest alone.
+    for _ in 0..5 {
+        assert!(waits(|| frame(&mut gpu)) <= 2);
+        assert!(gpu.in_flight.len() >= 4);
+    }
+    gpu.step(IDS[2]).unwrap();
+    assert!(waits(|| gpu.finish_steps().unwrap()) > 0);
 }
 
 #[test]
@@ -389,25 +406,25 @@ fn a_render_out_of_range_says_where() {
     for sh in &mut world.gaussians.sh {
         *sh = [1e6; 3];
     }
-    let ids = fill(&mut gpu, &world);
+    fill(&mut gpu, &world);
     fill(&mut cpu, &world);
     // What is seen is known all the same.
-    let seen = gpu.covisibility(ids[0]).unwrap();
-    let share = cpu.covisibility(ids[0]).unwrap()[0].1;
+    let seen = gpu.covisibility(IDS[0]).unwrap();
+    let share = cpu.covisibility(IDS[0]).unwrap()[0].1;
     assert!(share > 0.5 && (seen[0].1 - share).abs() <= 0.1);
-    let wanted = cpu.step(ids[0]);
+    let wanted = cpu.step(IDS[0]);
     let Err(ModelError::Loss(LossError::OutOfRange { u, v, .. })) = wanted else {
         panic!("{wanted:?}");
     };
     let before = gpu.gaussians().unwrap();
-    gpu.step(ids[0]).unwrap();
+    gpu.step(IDS[0]).unwrap();
     let found = gpu.finish_steps();
     assert!(
         matches!(found, Err(ModelError::Loss(LossError::OutOfRange { u: a, v: b, .. })) if (a, b) == (u, v)),
         "{found:?}"
     );
     assert!(gpu.gaussians().unwrap() == before);
-    assert_eq!(gpu.covisibility(ids[0]).unwrap(), seen);
+    assert_eq!(gpu.covisibility(IDS[0]).unwrap(), seen);
 }
 
 #[test]
@@ -417,9 +434,9 @@ fn gradients_that_are_no_use_leave_everything_as_it_is() {
     let Some((world, mut gpu, mut cpu)) = models(100, &settings) else {
         return;
     };
-    let ids = fill(&mut gpu, &world);
+    fill(&mut gpu, &world);
     fill(&mut cpu, &world);
-    for id in [ids[0], ids[1]] {
+    for id in [IDS[0], IDS[1]] {
         gpu.step(id).unwrap();
         cpu.step(id).unwrap();
     }
@@ -441,7 +458,7 @@ fn a_step_sees_no_more_what_is_hidden_now() {
     let Some((world, mut gpu, mut cpu)) = models(300, &ModelSettings::default()) else {
         return;
     };
-    let ids = fill(&mut gpu, &world);
+    fill(&mut gpu, &world);
     fill(&mut cpu, &world);
     let view = &world.views[0].0;
     let centre = view.camera.unproject(30.0, 22.0, 0.3);
@@ -456,17 +473,17 @@ fn a_step_sees_no_more_what_is_hidden_now() {
         });
     }
     let wall = seeds(&to_f32(&wall));
-    gpu.insert(&wall).unwrap();
-    cpu.insert(&wall).unwrap();
-    gpu.step(ids[0]).unwrap();
-    cpu.step(ids[0]).unwrap();
-    for &id in &ids {
+    gpu.insert(&wall, IDS[0]).unwrap();
+    cpu.insert(&wall, IDS[0]).unwrap();
+    gpu.step(IDS[0]).unwrap();
+    cpu.step(IDS[0]).unwrap();
+    for id in IDS {
         let (on_gpu, on_cpu) = (gpu.covisibility(id).unwrap(), cpu.covisibility(id).unwrap());
         for ((_, a), (_, b)) in on_gpu.iter().zip(&on_cpu) {
             assert!((a - b).abs() <= 0.02, "{on_gpu:?} {on_cpu:?}");
         }
     }
-    assert!(cpu.covisibility(ids[0]).unwrap()[0].1 == 0.0);
+    assert!(cpu.covisibility(IDS[0]).unwrap()[0].1 == 0.0);
 }
 
 #[test]
@@ -474,11 +491,11 @@ fn lists_are_repeated_only_if_they_do_not_fit() {
     let Some((world, mut gpu, _)) = models(200, &ModelSettings::default()) else {
         return;
     };
-    let ids = fill(&mut gpu, &world);
+    fill(&mut gpu, &world);
     for missing in [0, 1] {
-        let counts = gpu.see_again(ids[0]).unwrap();
+        let counts = gpu.see_again(IDS[0]).unwrap();
         gpu.shrink_entries(counts[Count::ENTRIES as usize] as usize - missing);
-        gpu.step(ids[0]).unwrap();
+        gpu.step(IDS[0]).unwrap();
         gpu.finish_steps().unwrap();
         assert_eq!(gpu.repeated_steps(), missing);
     }
@@ -494,8 +511,8 @@ fn dropped_views_leave_their_sets_to_others() {
     let bytes = gpu.device_bytes();
     let (view, target) = &world.views[0];
     for _ in 0..2 * sets {
-        let id = gpu.add_view(*view, target.clone()).unwrap();
-        gpu.drop_view(id).unwrap();
+        gpu.add_view(KeyframeId(9), *view, target.clone()).unwrap();
+        gpu.drop_view(KeyframeId(9)).unwrap();
     }
     assert_eq!(gpu.buffers.sets(), sets);
     assert!(gpu.device_bytes() <= bytes);
@@ -515,12 +532,12 @@ fn half_a_million_gaussians_stay_in_order() {
         many.log_scales[i] = [-3.0; 3];
         many.opacity_logits[i] = if i % 7 == 0 { -8.0 } else { 2.0 };
     }
-    gpu.insert(&seeds(&many)).unwrap();
+    gpu.insert(&seeds(&many), IDS[0]).unwrap();
     let kept: Vec<f32> = (0..count)
         .filter(|i| i % 7 != 0)
         .map(|i| i as f32)
         .collect();
-    assert_eq!(gpu.prune(&RULE).unwrap(), count - kept.len());
+    gpu.prune(&RULE).unwrap();
     let means = gpu.gaussians().unwrap().means;
     assert!(means.iter().map(|mean| mean[0]).eq(kept));
 }
@@ -530,15 +547,15 @@ fn a_step_that_went_wrong_takes_nothing_from_the_others() {
     let Some((world, mut gpu, _)) = models(50, &ModelSettings::default()) else {
         return;
     };
-    let ids = fill(&mut gpu, &world);
-    gpu.step(ids[0]).unwrap();
+    fill(&mut gpu, &world);
+    gpu.step(IDS[0]).unwrap();
     let mut glaring = world.gaussians.clone();
     glaring.sh.fill([1e6; 3]);
-    gpu.insert(&seeds(&glaring)).unwrap();
+    gpu.insert(&seeds(&glaring), IDS[0]).unwrap();
     let before = gpu.gaussians().unwrap();
     assert!(before.means[..50] != world.gaussians.means);
-    gpu.step(ids[0]).unwrap();
-    assert!(gpu.into_gaussians() == before);
+    gpu.step(IDS[0]).unwrap();
+    assert!(Box::new(gpu).into_gaussians() == before);
 }
 
 #[test]
@@ -563,7 +580,7 @@ fn lists_longer_than_any_number_are_refused() {
     for _ in 0..18 {
         everywhere.extend(&everywhere.clone());
     }
-    gpu.insert(&seeds(&to_f32(&everywhere))).unwrap();
+    gpu.insert(&seeds(&to_f32(&everywhere)), IDS[0]).unwrap();
     let refused = gpu.render(&view);
     assert!(
         matches!(refused, Err(ModelError::Device(_))),
@@ -585,16 +602,16 @@ fn a_lost_device_is_an_error_and_the_map_is_kept() {
     };
     let world = world(100);
     let mut model = GpuModel::new(device.clone(), ModelSettings::default(), 2).unwrap();
-    let ids = fill(&mut model, &world);
-    model.step(ids[0]).unwrap();
+    fill(&mut model, &world);
+    model.step(IDS[0]).unwrap();
     device.raw().destroy();
-    let failure = (0..20).find_map(|_| model.step(ids[0]).err());
+    let failure = (0..20).find_map(|_| model.step(IDS[0]).err());
     assert!(
         matches!(failure, Some(ModelError::Device(GpuError::Lost(_)))),
         "{failure:?}"
     );
     assert!(model.render(&world.views[0].0).is_err());
-    assert!(model.into_gaussians() == world.gaussians);
+    assert!(Box::new(model).into_gaussians() == world.gaussians);
 }
 
 #[test]
@@ -602,19 +619,22 @@ fn refusals_are_the_cpus() {
     let Some((world, mut gpu, _)) = models(10, &ModelSettings::default()) else {
         return;
     };
-    let ids = fill(&mut gpu, &world);
-    let nowhere = ViewId(99);
+    fill(&mut gpu, &world);
+    let nowhere = KeyframeId(99);
     assert_eq!(gpu.step(nowhere), Err(ModelError::NoSuchView(nowhere)));
     assert_eq!(
         gpu.covisibility(nowhere),
         Err(ModelError::NoSuchView(nowhere))
     );
-    gpu.drop_view(ids[0]).unwrap();
-    assert_eq!(gpu.step(ids[0]), Err(ModelError::NoSuchView(ids[0])));
+    gpu.drop_view(IDS[0]).unwrap();
+    assert_eq!(gpu.step(IDS[0]), Err(ModelError::NoSuchView(IDS[0])));
     let small = random_target(&mut rng(1), &random_view(&mut rng(2), 5, 4));
-    let refused = gpu.add_view(world.views[0].0, small);
+    let (view, target) = &world.views[0];
+    let refused = gpu.add_view(IDS[0], *view, small);
     assert!(matches!(refused, Err(ModelError::TargetSize { .. })));
+    let again = gpu.add_view(IDS[1], *view, target.clone());
+    assert_eq!(again, Err(ModelError::ViewExists(IDS[1])));
     let mut ragged = seeds(&world.gaussians);
     ragged.sparse_ids.pop();
-    assert_eq!(gpu.insert(&ragged), Err(ModelError::RaggedSeeds));
+    assert_eq!(gpu.insert(&ragged, IDS[0]), Err(ModelError::RaggedSeeds));
 }

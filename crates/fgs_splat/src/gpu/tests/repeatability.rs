@@ -1,6 +1,8 @@
 //! The same calls give the same bits: again, with accesses to memory checked or not, and with
 //! subgroup operations or without.
 
+use fgs_geom::KeyframeId;
+
 use super::device::{device, open};
 use super::scenes::{random_target, seeds};
 use crate::cpu::tests::scenes::{random_gaussians, random_view, rng, to_f32};
@@ -16,10 +18,10 @@ fn live(device: GpuDevice) -> (Gaussians, Vec<StepStats>) {
     for round in 0..3 {
         let view = views[round % 2];
         let new = to_f32(&random_gaussians(&mut rng, &view, 1500));
-        model.insert(&seeds(&new)).unwrap();
-        let id = model
-            .add_view(view, random_target(&mut rng, &view))
-            .unwrap();
+        let id = KeyframeId(round as u32);
+        model.insert(&seeds(&new), id).unwrap();
+        let target = random_target(&mut rng, &view);
+        model.add_view(id, view, target).unwrap();
         for _ in 0..4 {
             model.step(id).unwrap();
         }

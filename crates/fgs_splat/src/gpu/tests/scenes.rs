@@ -1,6 +1,6 @@
 //! Scenes for the stages, as DESIGN asks for them, and a model that holds one.
 
-use fgs_geom::{Image, View};
+use fgs_geom::{Image, KeyframeId, View};
 use rand::RngExt;
 use rand_pcg::Pcg64Mcg;
 
@@ -120,6 +120,8 @@ pub fn random_target(rng: &mut Pcg64Mcg, view: &View) -> Target {
 /// A model that holds the scene's gaussians; `None` if there is no device.
 pub fn model_of(scene: &Scene, settings: &ModelSettings) -> Option<GpuModel> {
     let mut model = GpuModel::new(device()?, settings.clone(), 8).unwrap();
-    model.insert(&seeds(&scene.gaussians)).unwrap();
+    model
+        .insert(&seeds(&scene.gaussians), KeyframeId(0))
+        .unwrap();
     Some(model)
 }

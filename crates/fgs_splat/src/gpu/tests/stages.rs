@@ -1,6 +1,6 @@
 //! Each stage against its twin on the CPU, on all scenes.
 
-use fgs_geom::{Se3, View};
+use fgs_geom::{KeyframeId, Se3, View};
 use nalgebra::Vector6;
 
 use super::scenes::{Scene, model_of, random_target, scenes};
@@ -34,9 +34,10 @@ fn on_all_scenes(check: impl Fn(&Scene, &crate::Target, &GpuModel, &[u32])) {
             ..random_view(&mut rng(98), width.div_ceil(2), height.div_ceil(2))
         };
         let other_target = random_target(&mut rng(99), &other);
-        let other = model.add_view(other, other_target).unwrap();
-        let id = model.add_view(scene.view, target.clone()).unwrap();
-        model.see_again(other).unwrap();
+        let [other_id, id] = [0, 1].map(KeyframeId);
+        model.add_view(other_id, other, other_target).unwrap();
+        model.add_view(id, scene.view, target.clone()).unwrap();
+        model.see_again(other_id).unwrap();
         let counts = model.see_again(id).unwrap();
         check(&scene, &target, &model, &counts);
     }

@@ -1,0 +1,258 @@
+//! What every backend promises of anchors and transparency, checked on each that is there.
+
+use fgs_geom::{Image, KeyframeId, Se3, View};
+use nalgebra::{UnitQuaternion, Vector3, Vector6};
+use rand::RngExt;
+
+use super::*;
+use crate::CpuModel;
+use crate::cpu::tests::scenes::{random_gaussians, random_view, rng, to_f32};
+use crate::gpu::GpuModel;
+use crate::gpu::tests::device;
+use crate::rigid_motion::{RigidMotion, moved, transformed};
+
+/// The first keyframe has a view, the second gaussians alone.
+const FIRST: KeyframeId = KeyframeId(3);
+const SECOND: KeyframeId = KeyframeId(8);
+/// Gaussians of each keyframe.
+const COUNT: usize = 150;
+
+const RULE: PruneRule = PruneRule {
+    min_opacity: 0.3,
+    max_scale_m: 10.0,
+    max_aspect: 100.0,
+};
+
+/// Calls `check` with a maker of empty models of each backend.
+fn on_each_backend(check: impl Fn(&dyn Fn(&ModelSettings) -> Box<dyn GaussianModel>)) {
+    check(&|settings| Box::new(CpuModel::new(settings.clone())));
+    if let Some(device) = device() {
+        check(&|settings| Box::new(GpuModel::new(device.clone(), settings.clone(), 2).unwrap()));
+    }
+}
+
+/// Gaussians of both keyframes in front of the first one's view, and what was measured there.
+struct World {
+    view: View,
+    seeds: [Seeds; 2],
+    target: Target,
+}
+
+fn world() -> World {
+    let mut rng = rng(31);
+    let view = random_view(&mut rng, 60, 44);
+    let seeds = [0, 1].map(|keyframe| Seeds {
+        gaussians: to_f32(&random_gaussians(&mut rng, &view, COUNT)),
+        sparse_ids: (0..COUNT as u32)
+            .map(|i| Some(SparseId(COUNT as u32 * keyframe + i)))
+            .collect(),
+    });
+    let color = Image::from_fn(60, 44, |_, _| std::array::from_fn(|_| rng.random()));
+    let depth_m = Image::from_fn(60, 44, |_, _| rng.random_range(0.5..4.0));
+    let target = Target::new(color, depth_m).unwrap();
+    World {
+        view,
+        seeds,
+        target,
+    }
+}
+
+impl World {
+    fn fill(&self, mut model: Box<dyn GaussianModel>) -> Box<dyn GaussianModel> {
+        model.insert(&self.seeds[0], FIRST).unwrap();
+        let target = self.target.clone();
+        model.add_view(FIRST, self.view, target).unwrap();
+        model.insert(&self.seeds[1], SECOND).unwrap();
+        model
+    }
+}
+
+/// What a loop closure may do to a keyframe.
+fn correction() -> Se3 {
+    Se3::exp(&Vector6::new(0.1, -0.2, 0.15, 0.3, -0.5, 0.2))
+}
+
+/// The furthest that two lists of vectors are apart.
+fn difference<const N: usize>(a: &[[f32; N]], b: &[[f32; N]]) -> f32 {
+    assert_eq!(a.len(), b.len());
+    let pairs = a.as_flattened().iter().zip(b.as_flattened());
+    pairs.map(|(a, b)| (a - b).abs()).fold(0.0, f32::max)
+}
+
+#[test]
+fn a_world_moved_as_a_whole_looks_the_same_to_its_camera() {
+    let world = world();
+    on_each_backend(|new_model| {
+        let mut model = world.fill(new_model(&ModelSettings::default()));
+        let before = model.render(&world.view).unwrap();
+        let all = [(FIRST, correction()), (SECOND, correction())];
+        model.move_anchored(&all).unwrap();
+        let after = model.render(&moved(&world.view, &correction())).unwrap();
+        assert!(difference(before.color.data(), after.color.data()) <= 1e-4);
+        let one = |image: &Image<f32>| image.map(|x| [*x]);
+        let [depths, alphas] = [
+            (&before.depth_m, &after.depth_m),
+            (&before.alpha, &after.alpha),
+        ]
+        .map(|(a, b)| difference(one(a).data(), one(b).data()));
+        assert!(depths <= 5e-4 && alphas <= 1e-4, "{depths} {alphas}");
+        // From where the camera was, it does not.
+        let elsewhere = model.render(&world.view).unwrap();
+        assert!(difference(before.color.data(), elsewhere.color.data()) > 0.1);
+    });
+}
+
+#[test]
+fn exactly_the_gaussians_of_a_moved_keyframe_move() {
+    let world = world();
+    on_each_backend(|new_model| {
+        let mut model = world.fill(new_model(&ModelSettings::default()));
+        // The anchors of those that stay must move up with them when others are pruned.
+        model.prune(&RULE).unwrap();
+        let before = model.gaussians().unwrap();
+        let faint = |seeds: &Seeds| {
+            let opacities = (0..COUNT).map(|i| seeds.gaussians.opacity(i));
+            opacities
+                .filter(|opacity| *opacity < RULE.min_opacity)
+                .count()
+        };
+        let firsts = COUNT - faint(&world.seeds[0]);
+        assert!(firsts < COUNT && before.len() < COUNT + firsts);
+        model.drop_view(FIRST).unwrap();
+
+        let motion = RigidMotion::from(&correction());
+        let moves = [(SECOND, correction()), (KeyframeId(99), correction())];
+        model.move_anchored(&moves).unwrap();
+        let after = model.gaussians().unwrap();
+        assert!(after.means[..firsts] == before.means[..firsts]);
+        assert!(after.quats[..firsts] == before.quats[..firsts]);
+        let means: Vec<_> = before.means[firsts..]
+            .iter()
+            .map(|p| motion.apply(p))
+            .collect();
+        let quats: Vec<_> = before.quats[firsts..]
+            .iter()
+            .map(|q| transformed(&motion.left, q))
+            .collect();
+        assert!(difference(&after.means[firsts..], &means) <= 2e-6);
+        assert!(difference(&after.quats[firsts..], &quats) <= 2e-6);
+        let rest = Gaussians {
+            means: before.means.clone(),
+            quats: before.quats.clone(),
+            ..after.clone()
+        };
+        assert!(rest == before);
+
+        model
+            .move_anchored(&[(SECOND, correction().inverse())])
+            .unwrap();
+        let back = model.gaussians().unwrap();
+        assert!(difference(&back.means, &before.means) <= 4e-6);
+        assert!(difference(&back.quats, &before.quats) <= 4e-6);
+        // There and back in one call.
+        let there_and_back = [(FIRST, correction()), (FIRST, correction().inverse())];
+        model.move_anchored(&there_and_back).unwrap();
+        let back = model.gaussians().unwrap();
+        assert!(difference(&back.means, &before.means) <= 4e-6);
+    });
+}
+
+/// The losses of steps with a motion of everything after some of them.
+fn losses(mut model: Box<dyn GaussianModel>, motion: Option<Se3>) -> Vec<f32> {
+    for _ in 0..5 {
+        model.step(FIRST).unwrap();
+    }
+    if let Some(motion) = motion {
+        model
+            .move_anchored(&[(FIRST, motion), (SECOND, motion)])
+            .unwrap();
+    }
+    for _ in 0..15 {
+        model.step(FIRST).unwrap();
+    }
+    model.gaussians().unwrap();
+    model.take_stats().iter().map(|step| step.loss).collect()
+}
+
+/// Adam moves each coordinate by itself. Where a rotation exchanges axes, or turns them round, it must
+/// go on as if nothing had happened; where it mixes them, nearly so.
+#[test]
+fn optimisation_goes_on_through_a_motion_of_everything() {
+    let world = world();
+    let turn = |axis: [f64; 3], angle: f64| {
+        let axis = nalgebra::Unit::new_normalize(Vector3::from(axis));
+        let rotation = UnitQuaternion::from_axis_angle(&axis, angle);
+        Se3::new(rotation, Vector3::new(0.2, -0.1, 0.3))
+    };
+    // Half a turn exchanges the quaternion's entries, a third of one the axes of the means.
+    let third = 2.0 * std::f64::consts::FRAC_PI_3;
+    let still = LearningRates {
+        quats: 0.0,
+        ..LearningRates::default()
+    };
+    for (motion, learning_rates, tolerance) in [
+        (
+            turn([0.0, 1.0, 0.0], 1.5 * third),
+            LearningRates::default(),
+            2e-4,
+        ),
+        (turn([1.0, 1.0, 1.0], third), still, 2e-4),
+        (correction(), LearningRates::default(), 2e-2),
+    ] {
+        let settings = ModelSettings {
+            learning_rates,
+            ..ModelSettings::default()
+        };
+        on_each_backend(|new_model| {
+            let without = losses(world.fill(new_model(&settings)), None);
+            let with = losses(world.fill(new_model(&settings)), Some(motion));
+            assert!(without[19] < 0.9 * without[0]);
+            for (a, b) in without.iter().zip(&with) {
+                assert!((a / b - 1.0).abs() <= tolerance, "{without:?} {with:?}");
+            }
+        });
+    }
+}
+
+#[test]
+fn motions_that_are_not_finite_move_nothing() {
+    let world = world();
+    on_each_backend(|new_model| {
+        let mut model = world.fill(new_model(&ModelSettings::default()));
+        for value in [f64::NAN, f64::INFINITY, 1e300] {
+            let mut motion = correction();
+            motion.translation.y = value;
+            let refused = model.move_anchored(&[(FIRST, correction()), (SECOND, motion)]);
+            assert_eq!(refused, Err(ModelError::NotFinite(SECOND)));
+        }
+        let means = model.gaussians().unwrap().means;
+        assert!(means[..COUNT] == world.seeds[0].gaussians.means);
+    });
+}
+
+#[test]
+fn one_sees_through_where_alpha_is_below_the_limit() {
+    let world = world();
+    let on_cpu = CpuModel::new(ModelSettings::default());
+    let alpha = world
+        .fill(Box::new(on_cpu))
+        .render(&world.view)
+        .unwrap()
+        .alpha;
+    on_each_backend(|new_model| {
+        let mut model = world.fill(new_model(&ModelSettings::default()));
+        for min_alpha in [0.3, 0.7, 0.99] {
+            let through = model.see_through(&world.view, min_alpha).unwrap();
+            assert_eq!((through.width(), through.height()), (60, 44));
+            let mut counts = [0, 0];
+            for (through, alpha) in through.data().iter().zip(alpha.data()) {
+                // Near the limit rounding decides.
+                if (alpha - min_alpha).abs() > 1e-3 {
+                    assert_eq!(*through, *alpha < min_alpha, "{alpha}");
+                    counts[usize::from(*through)] += 1;
+                }
+            }
+            assert!(counts.iter().all(|count| *count > 50), "{counts:?}");
+        }
+    });
+}
