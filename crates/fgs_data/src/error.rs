@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use fgs_geom::CameraError;
+use fgs_geom::{CameraError, FrameError};
 use thiserror::Error;
 
 /// Why a recording, one of its frames, a camera file or a trajectory file is refused.
@@ -181,6 +181,14 @@ pub enum DataError {
         index: usize,
         /// What is wrong with it.
         fault: LineFault,
+    },
+    /// Images and camera that do not make a frame.
+    #[error("frame {index}: {source}")]
+    Frame {
+        /// Its position in the recording, from 0.
+        index: usize,
+        /// Why.
+        source: FrameError,
     },
     /// A frame that the recording does not have.
     #[error("there is no frame {index}: the recording has {len}")]

@@ -1,7 +1,7 @@
 //! One frame from its two files: the only place where stored depth becomes metres and where lens
 //! distortion is removed.
 
-use fgs_geom::{Camera, FrameIndex, RgbdFrame, UndistortionMap};
+use fgs_geom::{Camera, FrameIndex, RgbdFrame, UndistortionMap, depth_from_raw};
 
 use crate::formats::FrameFiles;
 use crate::images::{read_color, read_depth};
@@ -45,25 +45,20 @@ impl FrameLoader {
             len: self.frames.len(),
         })?;
         let mut color = read_color(&files.color, &self.camera)?;
-        let mut depth_m = read_depth(&files.depth, &self.camera)?.map(|&value| {
-            let is_none = value == self.no_depth;
-            if is_none {
-                0.0
-            } else {
-                f32::from(value) / self.depth_scale
-            }
-        });
+        let raw = read_depth(&files.depth, &self.camera)?;
+        let mut depth_m = depth_from_raw(&raw, self.depth_scale, self.no_depth);
         if let Some(map) = &self.undistortion {
             // The map is made for this camera, whose size both images have.
             color = map.color(&color).unwrap_or(color);
             depth_m = map.depth(&depth_m).unwrap_or(depth_m);
         }
-        Ok(RgbdFrame {
-            index: FrameIndex(index),
-            timestamp_secs: files.timestamp_secs,
+        RgbdFrame::new(
+            FrameIndex(index),
+            files.timestamp_secs,
             color,
             depth_m,
-            camera: self.camera,
-        })
+            self.camera,
+        )
+        .map_err(|source| DataError::Frame { index, source })
     }
 }

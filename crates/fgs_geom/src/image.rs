@@ -74,9 +74,25 @@ impl<T> Image<T> {
         self.data
     }
 
-    /// Row `v`.
+    /// The pixels of row `v`.
+    ///
+    /// # Panics
+    /// If there is no such row.
+    #[inline]
+    #[track_caller]
     pub fn row(&self, v: usize) -> &[T] {
-        &self.data[v * self.width..(v + 1) * self.width]
+        if v >= self.height {
+            self.outside(0, v);
+        }
+        &self.data[v * self.width..][..self.width]
+    }
+
+    #[cold]
+    #[inline(never)]
+    #[track_caller]
+    fn outside(&self, u: usize, v: usize) -> ! {
+        let Self { width, height, .. } = self;
+        panic!("pixel ({u}, {v}) is outside an image of {width}x{height}");
     }
 
     /// The same image with every pixel mapped.
@@ -99,23 +115,35 @@ impl<T: Copy> Image<T> {
         }
     }
 
-    /// The pixel in column `u`, row `v`. Panics outside the image, like slice indexing.
+    /// The pixel in column `u`, row `v`. Loops over whole images are faster by rows.
+    ///
+    /// # Panics
+    /// Outside the image.
     #[inline]
+    #[track_caller]
     pub fn at(&self, u: usize, v: usize) -> T {
-        debug_assert!(u < self.width);
-        self.data[v * self.width + u]
+        match self.get(u, v) {
+            Some(value) => value,
+            None => self.outside(u, v),
+        }
     }
 
     /// The pixel in column `u`, row `v`, or `None` outside the image.
     #[inline]
     pub fn get(&self, u: usize, v: usize) -> Option<T> {
-        (u < self.width && v < self.height).then(|| self.at(u, v))
+        (u < self.width && v < self.height).then(|| self.data[v * self.width + u])
     }
 
-    /// Sets the pixel in column `u`, row `v`. Panics outside the image, like slice indexing.
+    /// Sets the pixel in column `u`, row `v`.
+    ///
+    /// # Panics
+    /// Outside the image.
     #[inline]
+    #[track_caller]
     pub fn set(&mut self, u: usize, v: usize, value: T) {
-        debug_assert!(u < self.width);
+        if u >= self.width || v >= self.height {
+            self.outside(u, v);
+        }
         self.data[v * self.width + u] = value;
     }
 }
@@ -132,6 +160,21 @@ mod tests {
         assert_eq!(image.get(2, 1), Some(12));
         assert_eq!(image.get(3, 1), None);
         assert_eq!(image.get(0, 2), None);
+    }
+
+    #[test]
+    fn beyond_the_last_column_or_row_is_a_panic() {
+        let image = Image::filled(3, 2, 0);
+        let panics = |access: fn(&mut Image<i32>)| {
+            let mut image = image.clone();
+            std::panic::catch_unwind(move || access(&mut image)).is_err()
+        };
+        assert!(panics(|image| _ = image.at(3, 0)));
+        assert!(panics(|image| _ = image.at(0, 2)));
+        assert!(panics(|image| image.set(3, 0, 1)));
+        assert!(panics(|image| image.set(0, usize::MAX / 3 + 1, 1)));
+        assert!(panics(|image| _ = image.row(2)));
+        assert!(panics(|_| _ = Image::filled(0, 2, 0).row(2)));
     }
 
     #[test]

@@ -5,13 +5,15 @@
 //! Transforms are named `a_from_b`: they map coordinates in `b` to coordinates in `a`.
 
 mod camera;
+mod depth;
 mod distortion;
 mod frame;
 mod image;
 mod se3;
 
 pub use camera::{Camera, CameraError, Intrinsics, View};
+pub use depth::{depth_from_raw, has_depth};
 pub use distortion::{Distortion, UndistortionMap};
-pub use frame::{FrameIndex, KeyframeId, RgbdFrame, has_depth};
+pub use frame::{FrameError, FrameIndex, KeyframeId, RgbdFrame};
 pub use image::{Image, ImageSizeError};
 pub use se3::{Se3, skew};

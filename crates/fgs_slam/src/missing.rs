@@ -86,13 +86,9 @@ mod tests {
             depth_m: Image::filled(W, H, 2.0 * 0.99),
             alpha: Image::filled(W, H, 0.99),
         };
-        let frame = RgbdFrame {
-            index: FrameIndex(0),
-            timestamp_secs: 0.0,
-            color: Image::filled(W, H, [100; 3]),
-            depth_m: Image::filled(W, H, 1.99),
-            camera: Camera::new(W, H, intrinsics).unwrap(),
-        };
+        let camera = Camera::new(W, H, intrinsics).unwrap();
+        let (color, depth_m) = (Image::filled(W, H, [100; 3]), Image::filled(W, H, 1.99));
+        let frame = RgbdFrame::new(FrameIndex(0), 0.0, color, depth_m, camera).unwrap();
         (rendered, frame)
     }
 

@@ -168,13 +168,8 @@ mod tests {
         let depth_m = Image::from_fn(W, H, |u, v| {
             (2.0 * normal.z / normal.dot(&camera.ray(u as f64, v as f64))) as f32
         });
-        RgbdFrame {
-            index: FrameIndex(0),
-            timestamp_secs: 0.0,
-            color: Image::from_fn(W, H, |u, v| [u as u8, v as u8, 255]),
-            depth_m,
-            camera,
-        }
+        let color = Image::from_fn(W, H, |u, v| [u as u8, v as u8, 255]);
+        RgbdFrame::new(FrameIndex(0), 0.0, color, depth_m, camera).unwrap()
     }
 
     fn pose() -> Se3 {

@@ -164,11 +164,9 @@ fn blank_wall(mut frame: RgbdFrame) -> RgbdFrame {
 fn a_covered_lens_a_blank_wall_and_a_teleport_are_lost_and_the_camera_is_found_again() {
     let sequence = room(150);
     for damage in [covered, blank_wall, |frame: RgbdFrame| {
-        let elsewhere = room(150).frame(75);
-        RgbdFrame {
-            index: frame.index,
-            ..elsewhere
-        }
+        let mut elsewhere = room(150).frame(75);
+        elsewhere.index = frame.index;
+        elsewhere
     }] {
         let input: Frames = (0..12)
             .map(|i| {
@@ -369,10 +367,11 @@ fn go_badly(
 /// Forth and back without end: a run must not wait for the end of its frames.
 fn endless_frames(sequence: &Sequence) -> impl Iterator<Item = RgbdFrame> {
     let last = sequence.len() - 1;
-    (0..).map(move |i| RgbdFrame {
-        index: FrameIndex(i),
-        timestamp_secs: i as f64 / 30.0,
-        ..sequence.frame(last.abs_diff(i % (2 * last)))
+    (0..).map(move |i| {
+        let mut frame = sequence.frame(last.abs_diff(i % (2 * last)));
+        frame.index = FrameIndex(i);
+        frame.timestamp_secs = i as f64 / 30.0;
+        frame
     })
 }
 

@@ -125,7 +125,7 @@ impl SensorModel {
             || self.holes
                 && (slope(exact, camera, [near_u, near_v]) > steepest
                     || blotched(u as f64 / scale, v as f64 / scale, frame));
-        if is_hole || !(self.range_m[0]..=self.range_m[1]).contains(&noisy) {
+        if is_hole || noisy <= 0.0 || !(self.range_m[0]..=self.range_m[1]).contains(&noisy) {
             return 0.0;
         }
         if self.depth_noise == 0.0 && self.depth_step_per_m == 0.0 {

@@ -140,13 +140,14 @@ impl Sequence {
     /// Frame `index`, rendered on all of rayon's threads, at [`Self::world_from_camera`].
     pub fn frame(&self, index: usize) -> RgbdFrame {
         let Picture { radiance, depth_m } = self.exposed(index);
-        RgbdFrame {
-            index: FrameIndex(index),
-            timestamp_secs: index as f64 / FRAMES_PER_SECOND,
-            color: self.sensor.develop(&radiance, self.seed, index),
-            depth_m: (self.sensor).measure(&depth_m, &self.camera, self.seed, index),
-            camera: self.camera,
-        }
+        RgbdFrame::new(
+            FrameIndex(index),
+            index as f64 / FRAMES_PER_SECOND,
+            self.sensor.develop(&radiance, self.seed, index),
+            (self.sensor).measure(&depth_m, &self.camera, self.seed, index),
+            self.camera,
+        )
+        .unwrap_or_else(|error| unreachable!("no sensor measures this: {error}"))
     }
 
     /// All frames in order.

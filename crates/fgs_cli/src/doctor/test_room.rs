@@ -51,13 +51,14 @@ pub fn frame(index: usize) -> RgbdFrame {
         let brightness = [90.0, 160.0, 200.0][thing] + 20.0 * pattern;
         (depth as f32, [brightness as u8; 3])
     });
-    RgbdFrame {
-        index: FrameIndex(index),
-        timestamp_secs: index as f64 / 30.0,
-        color: seen.map(|pixel| pixel.1),
-        depth_m: seen.map(|pixel| pixel.0),
+    RgbdFrame::new(
+        FrameIndex(index),
+        index as f64 / 30.0,
+        seen.map(|pixel| pixel.1),
+        seen.map(|pixel| pixel.0),
         camera,
-    }
+    )
+    .unwrap()
 }
 
 /// The first face of a box that a ray meets, from outside or inside.
