@@ -3,15 +3,18 @@
 //! A tracking keyframe shows much that the sparse map lacks: it extends both maps. A mapping
 //! keyframe, every so many frames after it, only improves the dense map.
 
+use std::fmt;
 use std::sync::Arc;
 
-use fgs_geom::{RgbdFrame, Se3};
+use fgs_geom::{KeyframeId, RgbdFrame, Se3, View};
 use fgs_splat::SparseId;
+use serde::{Deserialize, Serialize};
 
 use crate::config::KeyframeConfig;
 
 /// What a keyframe is for.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
 pub enum KeyframeKind {
     /// Extends the sparse and the dense map.
     Tracking,
@@ -19,9 +22,20 @@ pub enum KeyframeKind {
     Mapping,
 }
 
+impl fmt::Display for KeyframeKind {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Tracking => "tracking",
+            Self::Mapping => "mapping",
+        })
+    }
+}
+
 /// All that the mapper needs of a frame, in one message.
 #[derive(Clone, Debug)]
 pub struct Keyframe {
+    /// Its name.
+    pub id: KeyframeId,
     /// What it is for.
     pub kind: KeyframeKind,
     /// Its images.
@@ -30,6 +44,16 @@ pub struct Keyframe {
     pub world_from_camera: Se3,
     /// The pixels that join the sparse map, with the names of their gaussians.
     pub new_points: Vec<NewPoint>,
+}
+
+impl Keyframe {
+    /// Its camera and pose.
+    pub fn view(&self) -> View {
+        View {
+            camera: self.frame.camera,
+            world_from_camera: self.world_from_camera,
+        }
+    }
 }
 
 /// A pixel of a tracking keyframe that joins the sparse map.
@@ -47,8 +71,8 @@ pub struct NewPoint {
 pub struct KeyframePolicy {
     min_overlap_share: f64,
     mapping_every: usize,
-    frames_since_tracking_keyframe: usize,
-    any: bool,
+    /// `None` before the first keyframe.
+    frames_since_keyframe: Option<usize>,
 }
 
 impl KeyframePolicy {
@@ -57,23 +81,28 @@ impl KeyframePolicy {
         Self {
             min_overlap_share: config.min_overlap_share,
             mapping_every: config.mapping_every,
-            frames_since_tracking_keyframe: 0,
-            any: false,
+            frames_since_keyframe: None,
         }
     }
 
     /// What the next tracked frame becomes, given the share of its points that overlap the sparse
-    /// map. The first frame is always a tracking keyframe.
-    pub fn decide(&mut self, overlap_share: f64) -> Option<KeyframeKind> {
-        self.frames_since_tracking_keyframe += 1;
-        if !self.any || overlap_share < self.min_overlap_share {
-            self.any = true;
-            self.frames_since_tracking_keyframe = 0;
-            return Some(KeyframeKind::Tracking);
-        }
-        self.frames_since_tracking_keyframe
-            .is_multiple_of(self.mapping_every)
-            .then_some(KeyframeKind::Mapping)
+    /// map. The first frame is always a tracking keyframe. One that is not `allowed` is put off to
+    /// the next frame.
+    pub fn decide(&mut self, overlap_share: f64, allowed: bool) -> Option<KeyframeKind> {
+        let kind = match &mut self.frames_since_keyframe {
+            None => Some(KeyframeKind::Tracking),
+            Some(frames) => {
+                *frames += 1;
+                if overlap_share < self.min_overlap_share {
+                    Some(KeyframeKind::Tracking)
+                } else {
+                    (*frames >= self.mapping_every).then_some(KeyframeKind::Mapping)
+                }
+            }
+        };
+        let kind = kind.filter(|_| allowed)?;
+        self.frames_since_keyframe = Some(0);
+        Some(kind)
     }
 }
 
@@ -81,16 +110,21 @@ impl KeyframePolicy {
 mod tests {
     use super::*;
 
+    use KeyframeKind::{Mapping, Tracking};
+
+    /// The keyframes among forty frames of which frames 13 and 14 overlap too little.
+    fn keyframes(allowed: fn(usize) -> bool) -> Vec<(usize, KeyframeKind)> {
+        let mut policy = KeyframePolicy::new(&KeyframeConfig::default());
+        let overlap = |i: usize| if i == 13 || i == 14 { 0.79 } else { 0.8 };
+        (0..40)
+            .filter_map(|i| Some((i, policy.decide(overlap(i), allowed(i))?)))
+            .collect()
+    }
+
     #[test]
     fn tracking_at_low_overlap_and_mapping_every_tenth_after_it() {
-        let mut policy = KeyframePolicy::new(&KeyframeConfig::default());
-        let overlaps = |i: usize| if i == 13 || i == 14 { 0.79 } else { 0.8 };
-        let decisions: Vec<_> = (0..40)
-            .filter_map(|i| policy.decide(overlaps(i)).map(|kind| (i, kind)))
-            .collect();
-        use KeyframeKind::{Mapping, Tracking};
         assert_eq!(
-            decisions,
+            keyframes(|_| true),
             [
                 (0, Tracking),
                 (10, Mapping),
@@ -99,6 +133,14 @@ mod tests {
                 (24, Mapping),
                 (34, Mapping)
             ]
+        );
+    }
+
+    #[test]
+    fn what_is_not_allowed_is_put_off() {
+        assert_eq!(
+            keyframes(|i| ![0, 11, 12, 13, 24].contains(&i)),
+            [(1, Tracking), (14, Tracking), (25, Mapping), (35, Mapping)]
         );
     }
 }

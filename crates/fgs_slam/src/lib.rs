@@ -1,26 +1,33 @@
 //! FGS-SLAM: tracking with GICP against a sparse map and mapping with gaussian splatting, guided by
 //! a Fourier segmentation of the image.
 //!
-//! [`run`] drives a [`Tracker`] and a [`Mapper`]; both are plain structs without threads.
+//! A [`Slam`] session takes frames one by one. [`drive`] feeds it a recording, [`replay`] does so at
+//! the recording's own pace, [`live`] feeds it a camera.
 
 mod config;
+mod event;
+mod frame_result;
 pub mod frequency;
 mod keyframes;
 mod mapper;
 mod missing;
-mod observer;
+mod motion;
+mod prepare;
 mod seeding;
+mod session;
+mod sparse_map;
 mod surface;
 mod system;
 mod tracker;
 mod view_choice;
 
 pub use config::{
-    ConfigError, Disks, KeyframeConfig, MappingConfig, NewPoints, SeedingConfig, SlamConfig,
-    TargetCovariance, TrackingConfig,
+    KeyframeConfig, MappingConfig, SeedingConfig, SlamConfig, SurfaceConfig, TrackingConfig,
 };
-pub use keyframes::{Keyframe, KeyframeKind};
-pub use mapper::{Mapper, MapperError, model_settings};
-pub use observer::{Observer, SlamEvent};
-pub use system::{Execution, KeyframeRecord, SlamError, SlamOutput, Timings, run};
-pub use tracker::{Tracked, Tracker, TrackingStatus};
+pub use event::{SlamEvent, Subscription};
+pub use fgs_splat::SettingError;
+pub use frame_result::{FrameResult, FrameStatus, TrackingQuality};
+pub use keyframes::KeyframeKind;
+pub use mapper::{MapperError, model_settings};
+pub use session::{KeyframeRecord, Slam, SlamError, SlamOutput, Timings};
+pub use system::{Execution, UnknownExecution, drive, live, replay};

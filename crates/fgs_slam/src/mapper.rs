@@ -1,21 +1,35 @@
 //! The mapper: gives the map the gaussians it lacks and optimises it, keyframe by keyframe
 //! (paper, Sec. III-A and III-D). A plain struct without threads.
 
-use fgs_geom::{Camera, FrameIndex, Image, KeyframeId, View};
+use fgs_geom::{FrameIndex, Image, KeyframeId, Se3};
 use fgs_splat::{
-    GaussianModel, Gaussians, LossError, ModelError, ModelSettings, PruneRule, SparseId, Target,
+    GaussianModel, Gaussians, LossError, ModelError, ModelSettings, PruneRule, SparseId,
 };
 
-use crate::config::{MappingConfig, NewPoints, SlamConfig};
-use crate::frequency::{FrequencySegmenter, FrequencySettings};
-use crate::keyframes::{Keyframe, NewPoint};
+use crate::config::{MappingConfig, SlamConfig};
+use crate::keyframes::Keyframe;
 use crate::missing::missing_region;
-use crate::seeding::Seeder;
-use crate::surface::seeding_surface;
+use crate::prepare::PreparedKeyframe;
 use crate::view_choice::ViewChoice;
+
+/// A keyframe that shows more than this share of the newest keyframe's gaussians is covisible with
+/// it (paper, Sec. III-C).
+const MIN_COVISIBLE_SHARE: f32 = 0.7;
+
+/// How many of a new keyframe's first steps go to itself: its gaussians have seen no step yet.
+const NEWEST_FIRST: usize = 1;
+
+/// Which gaussians are of no use: the published limits for real sensors. 10 cm, published for
+/// Replica, takes away what stands in for window panes.
+const PRUNE_RULE: PruneRule = PruneRule {
+    min_opacity: 0.005,
+    max_scale_m: 1.0,
+    max_aspect: 10.0,
+};
 
 /// Why the mapper cannot go on.
 #[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
 pub enum MapperError {
     /// The model refused a call.
     #[error(transparent)]
@@ -23,20 +37,19 @@ pub enum MapperError {
     /// A keyframe's images do not belong together.
     #[error(transparent)]
     Keyframe(#[from] LossError),
+    /// The mapper panicked: a bug.
+    #[error("the mapper stopped on an internal error: {0}")]
+    Panicked(String),
 }
 
 /// Owns the map.
-pub struct Mapper<M> {
-    model: M,
+pub struct Mapper {
+    model: Box<dyn GaussianModel>,
     config: SlamConfig,
-    segmenter: FrequencySegmenter,
     choice: ViewChoice,
     /// The keyframes that can be optimised, in the order they came.
     views: Vec<(KeyframeId, FrameIndex)>,
-    next_id: KeyframeId,
     steps: usize,
-    /// Sparse points that the mask refused since the last call of `take_removed`.
-    refused: Vec<SparseId>,
 }
 
 /// How a configuration asks the model to optimise.
@@ -47,67 +60,50 @@ pub fn model_settings(config: &MappingConfig) -> ModelSettings {
     }
 }
 
-impl<M: GaussianModel> Mapper<M> {
-    /// For frames of one camera, with an empty map.
-    pub fn new(model: M, camera: &Camera, config: &SlamConfig) -> Self {
+impl Mapper {
+    /// With an empty model.
+    pub fn new(model: Box<dyn GaussianModel>, config: &SlamConfig) -> Self {
         Self {
             model,
-            segmenter: FrequencySegmenter::new(
-                camera.width,
-                camera.height,
-                FrequencySettings {
-                    clahe: config.seeding.clahe,
-                },
-            ),
             choice: ViewChoice::new(config.seed, config.mapping.covisible_probability),
             views: Vec::new(),
-            next_id: KeyframeId(0),
             steps: 0,
-            refused: Vec::new(),
             config: config.clone(),
         }
     }
 
-    /// Adds what the map lacks of a keyframe and registers it for optimisation.
+    /// Where the map lacks gaussians for a keyframe (M_m).
     ///
     /// # Errors
     /// If the model fails.
-    pub fn insert(&mut self, keyframe: &Keyframe) -> Result<(), MapperError> {
-        let frame = &keyframe.frame;
-        let view = View {
-            camera: frame.camera,
-            world_from_camera: keyframe.world_from_camera,
-        };
-        let rendered = self.model.render(&view)?;
-        let missing = missing_region(&rendered, frame, &self.config.seeding);
-        let detail = self.segmenter.segment(&frame.color);
-        let new_points = self.admit(&keyframe.new_points, &missing);
-        let seeder = Seeder::new(
-            frame,
-            keyframe.world_from_camera,
-            &detail,
-            &self.config.seeding,
-            seeding_surface(&self.config.tracking, &frame.camera),
-        );
-        let id = self.next_id;
-        self.next_id.0 += 1;
-        self.model
-            .insert(&seeder.seeds(&missing, &new_points), id)?;
-        let target = Target::new(frame.color.clone(), frame.depth_m.clone())?;
-        self.model.add_view(id, view, target)?;
+    pub fn missing_region(&mut self, keyframe: &Keyframe) -> Result<Image<bool>, MapperError> {
+        let (view, frame) = (keyframe.view(), &keyframe.frame);
+        let missing = missing_region(&mut *self.model, &view, frame, &self.config.seeding)?;
+        Ok(missing)
+    }
+
+    /// Adds a keyframe's seeds and registers it for optimisation.
+    ///
+    /// # Errors
+    /// If the model fails.
+    pub fn insert(&mut self, prepared: PreparedKeyframe) -> Result<(), MapperError> {
+        let keyframe = &prepared.keyframe;
+        let id = keyframe.id;
+        self.model.insert(&prepared.seeds, id)?;
+        self.model.add_view(id, keyframe.view(), prepared.target)?;
         let covisibility = self.model.covisibility(id)?;
-        let mapping = &self.config.mapping;
-        self.choice.set_current(
-            id,
-            &covisibility,
-            mapping.min_covisible_share,
-            mapping.newest_first,
-        );
-        self.views.push((id, frame.index));
-        if self.views.len() > mapping.max_keyframes {
+        self.choice
+            .set_current(id, &covisibility, MIN_COVISIBLE_SHARE, NEWEST_FIRST);
+        self.views.push((id, keyframe.frame.index));
+        if self.views.len() > self.config.mapping.max_keyframes {
             self.drop_most_crowded_view()?;
         }
         Ok(())
+    }
+
+    /// Whether there is a keyframe to optimise.
+    pub fn has_views(&self) -> bool {
+        !self.views.is_empty()
     }
 
     /// One optimisation step; nothing before the first keyframe.
@@ -122,15 +118,18 @@ impl<M: GaussianModel> Mapper<M> {
         // Nobody reads them yet; left in the model they would grow with the run.
         self.model.take_stats();
         self.steps += 1;
-        let mapping = &self.config.mapping;
-        if self.steps.is_multiple_of(mapping.prune_every) {
-            self.model.prune(&PruneRule {
-                min_opacity: mapping.prune_opacity,
-                max_scale_m: mapping.prune_scale_m,
-                max_aspect: mapping.prune_aspect,
-            })?;
+        if self.steps.is_multiple_of(self.config.mapping.prune_every) {
+            self.model.prune(&PRUNE_RULE)?;
         }
         Ok(())
+    }
+
+    /// Moves gaussians and views with their keyframes, each by its `new_world_from_old_world`.
+    ///
+    /// # Errors
+    /// If the model fails.
+    pub fn move_keyframes(&mut self, moves: &[(KeyframeId, Se3)]) -> Result<(), MapperError> {
+        Ok(self.model.move_anchored(moves)?)
     }
 
     /// How many steps were taken.
@@ -143,14 +142,20 @@ impl<M: GaussianModel> Mapper<M> {
         self.model.len()
     }
 
-    /// The points that left the sparse map and were not yet reported.
+    /// The sparse gaussians pruned since the last call, as far as known.
     ///
     /// # Errors
     /// If the model fails.
     pub fn take_removed(&mut self) -> Result<Vec<SparseId>, MapperError> {
-        let mut removed = self.model.take_removed()?;
-        removed.append(&mut self.refused);
-        Ok(removed)
+        Ok(self.model.take_removed()?)
+    }
+
+    /// A copy of the map.
+    ///
+    /// # Errors
+    /// If the model fails.
+    pub fn gaussians(&mut self) -> Result<Gaussians, MapperError> {
+        Ok(self.model.gaussians()?)
     }
 
     /// Bytes that the map takes on a graphics device.
@@ -160,25 +165,13 @@ impl<M: GaussianModel> Mapper<M> {
 
     /// The map; after a failure, as far as it is known.
     pub fn into_gaussians(self) -> Gaussians {
-        Box::new(self.model).into_gaussians()
-    }
-
-    fn admit(&mut self, new_points: &[NewPoint], missing: &Image<bool>) -> Vec<NewPoint> {
-        match self.config.keyframes.new_points {
-            NewPoints::Distance => new_points.to_vec(),
-            NewPoints::Mask => {
-                let (admitted, refused): (Vec<NewPoint>, Vec<NewPoint>) =
-                    new_points.iter().partition(|p| missing.at(p.u, p.v));
-                self.refused.extend(refused.iter().map(|p| p.id));
-                admitted
-            }
-        }
+        self.model.into_gaussians()
     }
 
     /// Forgets the keyframe that came soonest after its predecessor, so that those kept stay spread
     /// over the whole recording. The newest and the first stay.
     fn drop_most_crowded_view(&mut self) -> Result<(), MapperError> {
-        let gap = |i: &usize| self.views[*i].1.0 - self.views[*i - 1].1.0;
+        let gap = |i: &usize| self.views[*i].1.0.abs_diff(self.views[*i - 1].1.0);
         if let Some(crowded) = (1..self.views.len() - 1).min_by_key(gap) {
             let (id, _) = self.views.remove(crowded);
             self.choice.forget(id);

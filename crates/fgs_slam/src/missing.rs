@@ -7,19 +7,42 @@
 //! Differs from the paper: by default only M_i is used. The optimisation repairs what the other two
 //! find, and the opaque seeds they would plant there cover what it has already learnt.
 
-use fgs_geom::{Image, RgbdFrame, has_depth};
-use fgs_splat::Rendered;
+use fgs_geom::{Image, RgbdFrame, View, has_depth};
+use fgs_splat::{GaussianModel, ModelError, Rendered};
 
 use crate::config::SeedingConfig;
 
-/// M_m, of the frame's size.
+/// The map is far behind a measurement at this many times the median depth error (published code).
+const DEPTH_ERROR_FACTOR: f32 = 10.0;
+
+/// Sum of the absolute errors of red, green and blue, each 0 to 1, from which on the colour counts as
+/// wrong (published code).
+const MAX_COLOR_ERROR: f32 = 0.5;
+
+/// M_m of a frame taken at `view`, of its size.
+///
+/// # Errors
+/// If the model fails.
 pub fn missing_region(
-    rendered: &Rendered,
+    model: &mut dyn GaussianModel,
+    view: &View,
     frame: &RgbdFrame,
     config: &SeedingConfig,
-) -> Image<bool> {
+) -> Result<Image<bool>, ModelError> {
+    if config.depth_mask || config.color_mask {
+        return Ok(all_masks(&model.render(view)?, frame, config));
+    }
+    // M_i alone needs one bit a pixel of the render.
+    let mut missing = model.see_through(view, config.min_alpha)?;
+    for (missing, depth_m) in missing.data_mut().iter_mut().zip(frame.depth_m.data()) {
+        *missing &= has_depth(*depth_m);
+    }
+    Ok(missing)
+}
+
+fn all_masks(rendered: &Rendered, frame: &RgbdFrame, config: &SeedingConfig) -> Image<bool> {
     let behind_limit_m = if config.depth_mask {
-        config.depth_error_factor * median_depth_error(rendered, frame)
+        DEPTH_ERROR_FACTOR * median_depth_error(rendered, frame)
     } else {
         f32::INFINITY
     };
@@ -35,7 +58,7 @@ pub fn missing_region(
             // tell, M_i has already answered.
             || rendered.surface_depth_m(u, v) - measured_m > behind_limit_m
             // M_c
-            || (config.color_mask && color_error(rendered, frame, u, v) > config.max_color_error)
+            || (config.color_mask && color_error(rendered, frame, u, v) > MAX_COLOR_ERROR)
     })
 }
 
@@ -92,7 +115,7 @@ mod tests {
         (rendered, frame)
     }
 
-    fn all_masks() -> SeedingConfig {
+    fn with_all_masks() -> SeedingConfig {
         SeedingConfig {
             depth_mask: true,
             color_mask: true,
@@ -101,7 +124,7 @@ mod tests {
     }
 
     fn missing(rendered: &Rendered, frame: &RgbdFrame, config: &SeedingConfig) -> Vec<usize> {
-        let mask = missing_region(rendered, frame, config);
+        let mask = all_masks(rendered, frame, config);
         let hits = mask
             .data()
             .iter()
@@ -113,7 +136,7 @@ mod tests {
     #[test]
     fn nothing_is_missing_where_map_and_frame_agree() {
         let (rendered, frame) = agreeing();
-        assert!(missing(&rendered, &frame, &all_masks()).is_empty());
+        assert!(missing(&rendered, &frame, &with_all_masks()).is_empty());
     }
 
     #[test]
@@ -128,7 +151,7 @@ mod tests {
         frame.depth_m.set(5, 1, 2.5);
         frame.color.set(4, 2, [130, 130, 130]);
         let (opacity, depth, color) = (1, W + 2, 2 * W + 3);
-        let config = all_masks();
+        let config = with_all_masks();
         assert_eq!(missing(&rendered, &frame, &config), [opacity, depth, color]);
         let config = SeedingConfig {
             color_mask: false,
@@ -149,7 +172,7 @@ mod tests {
         rendered.depth_m = Image::filled(W, H, 0.0);
         frame.depth_m.set(0, 0, 0.0);
         frame.depth_m.set(1, 0, f32::NAN);
-        let mask = missing_region(&rendered, &frame, &all_masks());
+        let mask = all_masks(&rendered, &frame, &with_all_masks());
         assert_eq!(mask.data().iter().filter(|m| **m).count(), W * H - 2);
         assert!(!mask.at(0, 0) && !mask.at(1, 0));
     }

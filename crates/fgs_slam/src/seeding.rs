@@ -10,7 +10,7 @@ use fgs_gicp::DepthGrid;
 use fgs_splat::{Gaussians, SH0_FACTOR, Seeds, SparseId};
 use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
 
-use crate::config::{Disks, SeedingConfig};
+use crate::config::SeedingConfig;
 use crate::keyframes::NewPoint;
 
 /// Opacity of a new gaussian: the largest the rasteriser keeps, since a measured surface is opaque.
@@ -87,13 +87,10 @@ impl<'a> Seeder<'a> {
         let camera = &self.frame.camera;
         let point = camera.unproject(u as f64, v as f64, depth_m);
         let ray = point.normalize();
-        let normal = match self.config.disks {
-            Disks::View => -ray,
-            Disks::Normal => self
-                .surface
-                .surface_point(&self.frame.depth_m, camera, u, v)
-                .map_or(-ray, |surface| surface.normal),
-        };
+        let normal = self
+            .surface
+            .surface_point(&self.frame.depth_m, camera, u, v)
+            .map_or(-ray, |surface| surface.normal);
         let cosine = normal.dot(&ray).abs();
         let camera_from_disk = disk_axes(&normal, &ray);
         let world_from_disk = self.world_from_camera.rotation * camera_from_disk;
@@ -177,7 +174,7 @@ mod tests {
     }
 
     fn surface(frame: &RgbdFrame) -> DepthGrid {
-        let config = crate::config::TrackingConfig::default();
+        let config = crate::config::SlamConfig::default();
         crate::surface::seeding_surface(&config, &frame.camera)
     }
 
@@ -258,25 +255,6 @@ mod tests {
                 let ratio = (gaussians.log_scales[i][0] - gaussians.log_scales[i][1]).exp();
                 assert!((f64::from(ratio) * normal.dot(&ray).abs() - 1.0).abs() <= 1e-3);
             }
-        }
-    }
-
-    #[test]
-    fn disks_by_view_face_the_camera() {
-        let frame = wall(Vector3::new(0.6, -0.3, -1.0).normalize());
-        let detail = Image::filled(W, H, true);
-        let missing = Image::filled(W, H, true);
-        let config = SeedingConfig {
-            disks: Disks::View,
-            ..SeedingConfig::default()
-        };
-        let seeds =
-            Seeder::new(&frame, pose(), &detail, &config, surface(&frame)).seeds(&missing, &[]);
-        for (i, mean) in seeds.gaussians.means.iter().enumerate() {
-            let ray = (Vector3::from(*mean).cast() - pose().translation).normalize();
-            assert!((axes(&seeds.gaussians, i).column(2) + ray).amax() <= 1e-5);
-            let logs = seeds.gaussians.log_scales[i];
-            assert!((logs[0] - logs[1]).abs() <= 1e-6);
         }
     }
 

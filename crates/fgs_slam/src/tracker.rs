@@ -5,19 +5,18 @@
 //! incrementally, and every frame gets a verdict instead of a silent failure.
 
 use std::sync::Arc;
-use std::time::{Duration, Instant};
+use std::time::Instant;
 
-use fgs_geom::{Camera, FrameIndex, RgbdFrame, Se3};
-use fgs_gicp::{
-    Alignment, DepthGrid, Point, PointMap, Settings, SurfacePoint, align,
-    covariances_from_neighbors,
-};
+use fgs_geom::{Camera, KeyframeId, RgbdFrame, Se3};
+use fgs_gicp::{Alignment, DepthGrid, Point, Settings, SurfacePoint, align};
 use fgs_splat::SparseId;
-use nalgebra::Vector3;
 use rayon::prelude::*;
 
-use crate::config::{KeyframeConfig, SlamConfig, TargetCovariance, TrackingConfig};
+use crate::config::{KeyframeConfig, SlamConfig, SurfaceConfig, TrackingConfig};
+use crate::frame_result::TrackingQuality;
 use crate::keyframes::{Keyframe, KeyframeKind, KeyframePolicy, NewPoint};
+use crate::motion::MotionModel;
+use crate::sparse_map::SparseMap;
 use crate::surface::tracking_grid;
 
 /// Fewer points with a surface say nothing about the camera.
@@ -28,118 +27,73 @@ const MIN_POINTS: usize = 50;
 const ROTATION_EPSILON_RAD: f64 = 1e-3;
 const TRANSLATION_EPSILON_M: f64 = 2e-4;
 
-/// Neighbours of a recomputed covariance, as in the published code, and how far they may be.
-const NEIGHBORS: usize = 10;
-const NEIGHBOR_DISTANCE_M: f32 = 0.2;
-
-/// Whether a frame's pose can be trusted.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum TrackingStatus {
-    /// Yes.
-    Tracked,
-    /// No: it has none.
-    Lost,
-}
-
-/// A frame's result.
-#[derive(Clone, Debug)]
-pub struct Tracked {
-    /// Which frame.
-    pub index: FrameIndex,
-    /// Its time, seconds on the recording's clock.
-    pub timestamp_secs: f64,
-    /// The verdict.
-    pub status: TrackingStatus,
-    /// Its pose; `None` when lost.
-    pub world_from_camera: Option<Se3>,
-    /// How many of its points have a surface and were to be registered.
-    pub points: usize,
-    /// How many points the sparse map had then.
-    pub sparse_points: usize,
-    /// How many of its points correspond to the sparse map.
-    pub inliers: usize,
-    /// Root mean square distance of those along the surface normal, metres.
-    pub residual_m: f64,
-    /// How well the weakest direction is constrained relative to the strongest, 0 to 1.
-    pub conditioning: f64,
-    /// Wall time.
-    pub duration: Duration,
-}
-
 /// Registers frames with the sparse map.
 pub struct Tracker {
     config: TrackingConfig,
-    keyframe_config: KeyframeConfig,
+    surface: SurfaceConfig,
+    keyframes: KeyframeConfig,
     policy: KeyframePolicy,
     grid: DepthGrid,
-    map: PointMap,
-    next_id: u32,
-    /// The last trusted pose.
-    last: Option<Se3>,
-    /// The motion from it to the frame after it, as far as known: `last_from_next`.
-    motion: Se3,
+    map: SparseMap,
+    motion: MotionModel,
+    newest_keyframe: Option<KeyframeId>,
     /// The last trusted frame, unless it became a keyframe.
     unmapped: Option<(Arc<RgbdFrame>, Se3)>,
 }
 
-/// Side of the sparse map's cells in distances that are searched: a query then mostly meets one cell,
-/// of a few dozen points that lie together. Speed alone depends on it: from 3 to 6 it is the same, at
-/// 1 tracking takes twice as long.
-const CELL_DISTANCES: f32 = 4.0;
+/// What the tracker says of a frame.
+pub struct Tracked {
+    /// Its pose; `None` when lost.
+    pub world_from_camera: Option<Se3>,
+    /// How well it could be registered.
+    pub quality: TrackingQuality,
+    /// The keyframe it becomes, if any, whose points have then joined the sparse map.
+    pub keyframe: Option<Keyframe>,
+}
 
 impl Tracker {
-    /// For frames of one camera, with an empty map; the first frame with enough depth defines the world's axes.
+    /// For frames of one camera, with an empty map. The first frame with enough depth defines the
+    /// world's axes.
     pub fn new(camera: &Camera, config: &SlamConfig) -> Self {
-        let tracking = config.tracking.clone();
         Self {
             policy: KeyframePolicy::new(&config.keyframes),
-            grid: tracking_grid(&tracking, camera),
-            map: PointMap::new(CELL_DISTANCES * config.keyframes.overlap_distance_m as f32),
-            next_id: 0,
-            last: None,
-            motion: Se3::identity(),
+            grid: tracking_grid(config, camera),
+            map: SparseMap::new(config.tracking.max_correspondence_distance_m),
+            motion: MotionModel::default(),
+            newest_keyframe: None,
             unmapped: None,
-            keyframe_config: config.keyframes.clone(),
-            config: tracking,
+            keyframes: config.keyframes.clone(),
+            surface: config.surface.clone(),
+            config: config.tracking.clone(),
         }
     }
 
-    /// The frame's verdict and pose, and the keyframe it becomes, if any, whose points have then
-    /// joined the sparse map.
-    pub fn track(&mut self, frame: &Arc<RgbdFrame>) -> (Tracked, Option<Keyframe>) {
+    /// Tracks a frame. It becomes a keyframe only if `may_become_keyframe`; a tracking keyframe that
+    /// was not allowed is due again at the next frame.
+    pub fn track(&mut self, frame: &Arc<RgbdFrame>, may_become_keyframe: bool) -> Tracked {
         let start = Instant::now();
         let points = self.grid.surface_points(&frame.depth_m, &frame.camera);
-        let sparse_points = self.map.len();
-        let registration = self.register(&points);
-        let world_from_camera = registration.world_from_camera;
-        match (world_from_camera, self.last) {
-            (Some(pose), Some(last)) => self.motion = last.inverse() * pose,
-            // A lost camera may have moved any way.
-            (None, _) => self.motion = Se3::identity(),
-            (Some(_), None) => {}
-        }
-        self.last = world_from_camera.or(self.last);
-        let keyframe = world_from_camera.and_then(|pose| {
-            let keyframe = self.decide(frame, pose, &points, registration.inliers);
-            self.unmapped = keyframe.is_none().then(|| (Arc::clone(frame), pose));
-            keyframe
-        });
-        let tracked = Tracked {
-            index: frame.index,
-            timestamp_secs: frame.timestamp_secs,
-            status: match world_from_camera {
-                Some(_) => TrackingStatus::Tracked,
-                None => TrackingStatus::Lost,
-            },
-            world_from_camera,
+        let mut quality = TrackingQuality {
             points: points.len(),
-            sparse_points,
-            inliers: registration.inliers,
-            residual_m: registration.residual_m,
-            conditioning: registration.conditioning,
-            duration: start.elapsed(),
+            sparse_points: self.map.points().len(),
+            ..TrackingQuality::default()
         };
-        (tracked, keyframe)
+        let world_from_camera = self.register(frame.timestamp_secs, &points, &mut quality);
+        let mut keyframe = None;
+        if let Some(pose) = world_from_camera {
+            self.motion.observe(pose, frame.timestamp_secs);
+            let overlap_share = quality.inliers as f64 / points.len() as f64;
+            if let Some(kind) = self.policy.decide(overlap_share, may_become_keyframe) {
+                keyframe = Some(self.make_keyframe(kind, frame, pose, &points));
+            }
+            self.unmapped = keyframe.is_none().then(|| (Arc::clone(frame), pose));
+        }
+        quality.duration = start.elapsed();
+        Tracked {
+            world_from_camera,
+            quality,
+            keyframe,
+        }
     }
 
     /// The keyframe that the last trusted frame becomes when the recording ends, so that the map
@@ -147,6 +101,7 @@ impl Tracker {
     pub fn finish(&mut self) -> Option<Keyframe> {
         let (frame, world_from_camera) = self.unmapped.take()?;
         Some(Keyframe {
+            id: self.next_keyframe_id(),
             kind: KeyframeKind::Mapping,
             frame,
             world_from_camera,
@@ -154,24 +109,45 @@ impl Tracker {
         })
     }
 
-    /// Forgets points that the mapper pruned.
-    pub fn update_map(&mut self, removed: &[SparseId]) {
-        for id in removed {
-            self.map.remove(id.0.into());
+    /// The keyframe that the camera's pose is relative to.
+    pub fn newest_keyframe(&self) -> Option<KeyframeId> {
+        self.newest_keyframe
+    }
+
+    /// Forgets sparse points that the mapper has pruned.
+    pub fn remove_points(&mut self, ids: &[SparseId]) {
+        self.map.remove(ids);
+    }
+
+    /// Keyframes were moved, each by its `new_world_from_old_world`: their sparse points move with
+    /// them, and the camera with the newest.
+    pub fn move_keyframes(&mut self, moves: &[(KeyframeId, Se3)]) {
+        self.map.move_anchored(moves);
+        let newest = moves
+            .iter()
+            .find(|(id, _)| Some(*id) == self.newest_keyframe);
+        if let Some((_, new_from_old)) = newest {
+            self.motion.move_world(new_from_old);
+            if let Some((_, pose)) = &mut self.unmapped {
+                *pose = *new_from_old * *pose;
+            }
         }
     }
 
-    fn register(&self, points: &[SurfacePoint]) -> Registration {
-        let Some(last) = self.last else {
-            // The first frame: at the origin, if it shows anything at all.
-            return Registration {
-                world_from_camera: (points.len() >= MIN_POINTS).then(Se3::identity),
-                ..Registration::default()
-            };
-        };
+    /// The pose at a time if it can be trusted; how well it fits goes into `quality`.
+    fn register(
+        &self,
+        timestamp_secs: f64,
+        points: &[SurfacePoint],
+        quality: &mut TrackingQuality,
+    ) -> Option<Se3> {
         if points.len() < MIN_POINTS {
-            return Registration::default();
+            return None;
         }
+        let Some(predicted) = self.motion.predict(timestamp_secs) else {
+            // The first frame that shows anything at all.
+            return Some(Se3::identity());
+        };
         let source: Vec<Point> = points.par_iter().map(|point| self.disk(point)).collect();
         let settings = Settings {
             max_correspondence_distance_m: self.config.max_correspondence_distance_m as f32,
@@ -179,134 +155,73 @@ impl Tracker {
             translation_epsilon_m: TRANSLATION_EPSILON_M,
             ..Settings::default()
         };
-        let mut alignment = align(&source, &self.map, &(last * self.motion), &settings);
-        if let Ok(unsettled) = &alignment
-            && !unsettled.converged
-        {
-            // Pairs that swap for ever keep it from the last digits: the published ones will do.
+        // A registration that is impossible leaves the frame lost; the run goes on.
+        let mut alignment = align(&source, self.map.points(), &predicted, &settings).ok()?;
+        if !alignment.converged {
+            // Oscillating correspondences keep it from the last digits: the published tolerances
+            // will do.
             let published = Settings {
                 rotation_epsilon_rad: Settings::default().rotation_epsilon_rad,
                 translation_epsilon_m: Settings::default().translation_epsilon_m,
                 ..settings
             };
-            alignment = align(
-                &source,
-                &self.map,
-                &unsettled.target_from_source,
-                &published,
-            );
+            let start = alignment.target_from_source;
+            alignment = align(&source, self.map.points(), &start, &published).ok()?;
         }
-        match alignment {
-            Ok(alignment) => self.verdict(&alignment),
-            // Nothing to align with is a lost frame, not a broken run.
-            Err(_) => Registration::default(),
-        }
+        quality.inliers = alignment.inliers;
+        quality.residual_m = alignment.rms_residual_m;
+        quality.conditioning = alignment.conditioning.weakest;
+        self.is_trusted(&alignment)
+            .then_some(alignment.target_from_source)
+    }
+
+    fn is_trusted(&self, alignment: &Alignment) -> bool {
+        alignment.converged
+            && alignment.inlier_share >= self.config.min_inlier_share
+            && alignment.conditioning.weakest >= self.config.min_conditioning
     }
 
     fn disk(&self, point: &SurfacePoint) -> Point {
-        point.disk(self.config.disk_thickness, self.config.noise_power)
+        point.disk(self.surface.disk_thickness, self.surface.noise_power)
     }
 
-    fn verdict(&self, alignment: &Alignment) -> Registration {
-        let trusted = alignment.converged
-            && alignment.inlier_share >= self.config.min_inlier_share
-            && alignment.conditioning.weakest >= self.config.min_conditioning;
-        Registration {
-            world_from_camera: trusted.then_some(alignment.target_from_source),
-            inliers: alignment.inliers,
-            residual_m: alignment.rms_residual_m,
-            conditioning: alignment.conditioning.weakest,
-        }
-    }
-
-    fn decide(
+    fn make_keyframe(
         &mut self,
+        kind: KeyframeKind,
         frame: &Arc<RgbdFrame>,
         world_from_camera: Se3,
         points: &[SurfacePoint],
-        inliers: usize,
-    ) -> Option<Keyframe> {
-        let overlapping = if self.keyframe_config.overlap_distance_m
-            == self.config.max_correspondence_distance_m
-        {
-            // The registration has counted them already.
-            inliers
-        } else {
-            self.count_overlapping(&self.in_world(points, &world_from_camera))
-        };
-        let kind = self
-            .policy
-            .decide(overlapping as f64 / points.len() as f64)?;
+    ) -> Keyframe {
+        let id = self.next_keyframe_id();
         let new_points = match kind {
             KeyframeKind::Mapping => Vec::new(),
             KeyframeKind::Tracking => {
-                let in_world = self.in_world(points, &world_from_camera);
-                self.extend(points, &in_world)
+                let to_world = |point| self.disk(point).transformed(&world_from_camera);
+                let in_world: Vec<Point> = points.par_iter().map(to_world).collect();
+                let spacing_m = self.keyframes.new_point_distance_m;
+                let joined = self.map.extend(id, &in_world, spacing_m);
+                let named = joined.into_iter().map(|(i, id)| NewPoint {
+                    u: points[i].u,
+                    v: points[i].v,
+                    id,
+                });
+                named.collect()
             }
         };
-        Some(Keyframe {
+        Keyframe {
+            id,
             kind,
             frame: Arc::clone(frame),
             world_from_camera,
             new_points,
-        })
-    }
-
-    fn in_world(&self, points: &[SurfacePoint], world_from_camera: &Se3) -> Vec<Point> {
-        let to_world = |point| self.disk(point).transformed(world_from_camera);
-        points.par_iter().map(to_world).collect()
-    }
-
-    /// How many points have one of the sparse map near.
-    fn count_overlapping(&self, in_world: &[Point]) -> usize {
-        let reach = self.keyframe_config.overlap_distance_m as f32;
-        let overlaps = |point: &&Point| self.map.nearest(&point.position, reach).is_some();
-        in_world.par_iter().filter(overlaps).count()
-    }
-
-    /// Lets those points join the sparse map that it does not have yet.
-    fn extend(&mut self, points: &[SurfacePoint], in_world: &[Point]) -> Vec<NewPoint> {
-        let spacing = self.keyframe_config.new_point_distance_m as f32;
-        // Decided before any joins: a frame's own points do not keep each other out.
-        let new: Vec<usize> = (0..points.len())
-            .filter(|&i| self.map.nearest(&in_world[i].position, spacing).is_none())
-            .collect();
-        let mut new_points = Vec::with_capacity(new.len());
-        for &i in &new {
-            let id = SparseId(self.next_id);
-            self.next_id += 1;
-            self.map.insert(id.0.into(), in_world[i]);
-            let (u, v) = (points[i].u, points[i].v);
-            new_points.push(NewPoint { u, v, id });
-        }
-        if self.config.target == TargetCovariance::Neighbors {
-            self.recompute_covariances(&new_points);
-        }
-        new_points
-    }
-
-    fn recompute_covariances(&mut self, new_points: &[NewPoint]) {
-        let ids = new_points.iter().map(|point| u64::from(point.id.0));
-        let known: Vec<_> = ids
-            .filter_map(|id| Some((id, *self.map.get(id)?)))
-            .collect();
-        let positions: Vec<Vector3<f32>> = known.iter().map(|(_, point)| point.position).collect();
-        let covariances =
-            covariances_from_neighbors(&self.map, &positions, NEIGHBORS, NEIGHBOR_DISTANCE_M);
-        for ((id, mut point), covariance) in known.into_iter().zip(covariances) {
-            if let Some(covariance) = covariance {
-                point.covariance = covariance;
-                self.map.insert(id, point);
-            }
         }
     }
-}
 
-/// What a registration says of a frame; by default nothing.
-#[derive(Default)]
-struct Registration {
-    world_from_camera: Option<Se3>,
-    inliers: usize,
-    residual_m: f64,
-    conditioning: f64,
+    fn next_keyframe_id(&mut self) -> KeyframeId {
+        let id = self
+            .newest_keyframe
+            .map_or(KeyframeId(0), |newest| KeyframeId(newest.0 + 1));
+        self.newest_keyframe = Some(id);
+        id
+    }
 }

@@ -5,20 +5,21 @@
 mod common;
 
 use std::io::Write;
-use std::sync::atomic::AtomicBool;
 
-use common::{config, frames, psnr_of_map_db, room, worst_position_error_m};
-use fgs_slam::{Execution, SlamOutput, model_settings, run};
-use fgs_splat::{CpuModel, GaussianModel, GpuDevice, GpuError, GpuModel};
+use common::{
+    config, cpu_model, feed, frames, poses, psnr_of_map_db, room, session_with,
+    worst_position_error_m,
+};
+use fgs_slam::{Execution, SlamOutput, model_settings};
+use fgs_splat::{GaussianModel, GpuDevice, GpuError, GpuModel};
 use fgs_synth::Sequence;
 
 const FRAMES: usize = 12;
 
-fn go(sequence: &Sequence, execution: Execution, model: impl GaussianModel) -> SlamOutput {
-    let stop = AtomicBool::new(false);
-    let frames = frames(sequence).into_iter();
-    let camera = sequence.camera();
-    run(frames, camera, &config(), execution, model, &mut (), &stop).unwrap()
+fn go(sequence: &Sequence, execution: Execution, model: Box<dyn GaussianModel>) -> SlamOutput {
+    let mut slam = session_with(sequence, execution, model);
+    feed(&mut slam, execution, frames(sequence));
+    slam.finish()
 }
 
 #[test]
@@ -38,12 +39,8 @@ fn a_run_on_a_device_repeats_itself_and_is_as_good_as_on_the_cpu() {
     let sequence = room(FRAMES);
     let settings = model_settings(&config().mapping);
     // Fewer views on the device than the run has.
-    let new_model = || GpuModel::new(device.clone(), settings.clone(), 1).unwrap();
-    let on_cpu = go(
-        &sequence,
-        Execution::Lockstep,
-        CpuModel::new(settings.clone()),
-    );
+    let new_model = || Box::new(GpuModel::new(device.clone(), settings.clone(), 1).unwrap());
+    let on_cpu = go(&sequence, Execution::Lockstep, cpu_model());
     let on_gpu = go(&sequence, Execution::Lockstep, new_model());
     assert!(on_gpu.failure.is_none());
     assert_eq!(on_gpu.timings.steps, on_cpu.timings.steps);
@@ -51,10 +48,6 @@ fn a_run_on_a_device_repeats_itself_and_is_as_good_as_on_the_cpu() {
 
     let again = go(&sequence, Execution::Lockstep, new_model());
     assert!(again.gaussians == on_gpu.gaussians);
-    let poses = |output: &SlamOutput| -> Vec<_> {
-        let frames = output.frames.iter();
-        frames.map(|frame| frame.world_from_camera).collect()
-    };
     assert_eq!(poses(&again), poses(&on_gpu));
 
     let error_m = |output| worst_position_error_m(output, &sequence);

@@ -1,24 +1,67 @@
-//! Tracker and mapper in strict turns on one thread; inside a turn all threads compute.
+//! Tracker and mapper in strict turns on one thread; inside a turn all threads compute. The same
+//! input gives the same bits.
 
-use std::error::Error;
+use std::time::Instant;
 
-use fgs_geom::RgbdFrame;
-use fgs_splat::GaussianModel;
+use crossbeam_channel::never;
+use fgs_splat::Gaussians;
 
-use super::front::{Front, MapSize};
-use super::worker::MapperWorker;
+use super::budget::Budget;
+use super::mapping::{MapperGone, Mapping, Moves};
+use super::worker::{MapperWorker, MappingOutput};
+use crate::keyframes::Keyframe;
 
-pub fn run<E: Error + 'static, M: GaussianModel>(
-    frames: impl Iterator<Item = Result<RgbdFrame, E>>,
-    front: &mut Front<'_>,
-    mut worker: MapperWorker<M>,
-) -> MapperWorker<M> {
-    let map = MapSize::default();
-    front.follow(frames, |front, frame| {
-        let keyframe = front.track(frame, &map);
-        let changes = worker.after_frame(keyframe.as_ref(), &map)?;
-        front.tracker.update_map(&changes);
-        Some(())
-    });
-    worker
+/// The mapper, whose turn comes after each frame.
+pub struct Lockstep {
+    worker: MapperWorker,
+    budget: Budget,
+}
+
+impl Lockstep {
+    pub fn new(worker: MapperWorker, budget: Budget) -> Self {
+        Self { worker, budget }
+    }
+}
+
+impl Mapping for Lockstep {
+    fn accepts_keyframe(&self) -> bool {
+        true
+    }
+
+    fn after_frame(&mut self, keyframe: Option<Keyframe>) -> Result<(), MapperGone> {
+        let steps = self.budget.next_frame();
+        let alive = self.worker.turn(|worker| {
+            if let Some(keyframe) = keyframe {
+                worker.begin(keyframe)?;
+                worker.settle()?;
+            }
+            (0..steps).try_for_each(|_| worker.step())
+        });
+        alive.then_some(()).ok_or(MapperGone)
+    }
+
+    fn move_keyframes(&mut self, moves: &Moves) -> Result<(), MapperGone> {
+        let alive = self.worker.turn(|worker| worker.move_keyframes(moves));
+        alive.then_some(()).ok_or(MapperGone)
+    }
+
+    fn snapshot(&mut self) -> Result<Gaussians, MapperGone> {
+        let mut gaussians = None;
+        self.worker.turn(|worker| {
+            gaussians = Some(worker.gaussians()?);
+            Ok(())
+        });
+        gaussians.ok_or(MapperGone)
+    }
+
+    fn wait_until(&self, time: Instant) -> Result<(), MapperGone> {
+        // Times out: on this channel nothing ever comes.
+        let _ = never::<()>().recv_deadline(time);
+        Ok(())
+    }
+
+    fn finish(mut self: Box<Self>, closing: Option<Keyframe>) -> MappingOutput {
+        self.worker.close(closing);
+        self.worker.finish()
+    }
 }

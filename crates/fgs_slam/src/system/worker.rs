@@ -1,94 +1,207 @@
-//! The mapping side of a run: the mapper, the steps due to it, the time it used and what ended it.
+//! The mapping side of a session: the mapper with what it works off, whose turn it may be on any
+//! thread, and what it tells the tracking side.
 
-use std::sync::atomic::Ordering;
-use std::thread;
+use std::any::Any;
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
-use fgs_splat::{GaussianModel, SparseId};
+use fgs_geom::{KeyframeId, Se3};
+use fgs_splat::{Gaussians, SparseId};
 
-use super::SlamError;
-use super::front::MapSize;
-use crate::config::SlamConfig;
+use super::preparation::Preparation;
+use crate::event::{EventHub, SlamEvent};
 use crate::keyframes::Keyframe;
 use crate::mapper::{Mapper, MapperError};
 
-/// Spreads a fractional number of steps per frame evenly: after n frames, floor(n * rate) steps.
-struct Budget {
-    per_frame: f64,
-    frames: usize,
-    steps: usize,
+/// What the mapper tells the tracking side. Bounded by the size of the map.
+#[derive(Default)]
+pub struct MapStatus {
+    num_gaussians: AtomicUsize,
+    steps: AtomicUsize,
+    removed: Mutex<Vec<SparseId>>,
 }
 
-impl Budget {
-    fn new(per_frame: f64) -> Self {
-        Self {
-            per_frame,
-            frames: 0,
-            steps: 0,
-        }
+impl MapStatus {
+    /// Gaussians in the map.
+    pub fn num_gaussians(&self) -> usize {
+        self.num_gaussians.load(Ordering::Relaxed)
     }
 
-    /// The steps due after one more frame.
-    fn next_frame(&mut self) -> usize {
-        self.frames += 1;
-        let total = (self.frames as f64 * self.per_frame).floor() as usize;
-        let due = total - self.steps;
-        self.steps = total;
-        due
+    /// Optimisation steps so far.
+    pub fn steps(&self) -> usize {
+        self.steps.load(Ordering::Relaxed)
+    }
+
+    /// Sparse gaussians pruned since the last call.
+    pub fn take_removed(&self) -> Vec<SparseId> {
+        std::mem::take(&mut self.lock())
+    }
+
+    /// The list is whole at every moment, also if a thread died holding the lock.
+    fn lock(&self) -> MutexGuard<'_, Vec<SparseId>> {
+        self.removed.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
-/// The mapper, the time it used and what ended it.
-pub struct MapperWorker<M> {
-    pub mapper: Mapper<M>,
-    budget: Budget,
+/// The mapper and what it works off.
+pub struct MapperWorker {
+    mapper: Mapper,
+    preparation: Preparation,
+    status: Arc<MapStatus>,
+    events: EventHub,
+    busy: Duration,
+    /// Why the mapper cannot go on.
+    failure: Option<MapperError>,
+}
+
+/// What is left when mapping has ended.
+pub struct MappingOutput {
+    pub gaussians: Gaussians,
+    pub device_bytes: u64,
+    pub steps: usize,
     pub busy: Duration,
-    /// Why the mapper cannot go on. The run ends then.
     pub failure: Option<MapperError>,
 }
 
-impl<M: GaussianModel> MapperWorker<M> {
-    pub fn new(mapper: Mapper<M>, config: &SlamConfig) -> Self {
+impl MappingOutput {
+    /// What is left of a mapper whose thread died.
+    pub fn panicked(panic: &(dyn Any + Send)) -> Self {
+        Self {
+            gaussians: Gaussians::default(),
+            device_bytes: 0,
+            steps: 0,
+            busy: Duration::ZERO,
+            failure: Some(MapperError::Panicked(panic_message(panic))),
+        }
+    }
+}
+
+impl MapperWorker {
+    pub fn new(
+        mapper: Mapper,
+        preparation: Preparation,
+        status: Arc<MapStatus>,
+        events: EventHub,
+    ) -> Self {
         Self {
             mapper,
-            budget: Budget::new(config.mapping.iterations_per_frame),
+            preparation,
+            status,
+            events,
             busy: Duration::ZERO,
             failure: None,
         }
     }
 
-    /// Everything that is due after a frame; `None` if the mapper fails.
-    pub fn after_frame(
-        &mut self,
-        keyframe: Option<&Keyframe>,
-        map: &MapSize,
-    ) -> Option<Vec<SparseId>> {
-        let steps = self.budget.next_frame();
-        self.work(map, |mapper| {
-            keyframe.map_or(Ok(()), |keyframe| mapper.insert(keyframe))?;
-            (0..steps).try_for_each(|_| mapper.step())
-        })
+    /// Lets the mapper work and reports what became of the map. `false` once the mapper cannot go
+    /// on: it has failed or panicked, now or before.
+    pub fn turn(&mut self, work: impl FnOnce(&mut Self) -> Result<(), MapperError>) -> bool {
+        if self.failure.is_some() {
+            return false;
+        }
+        let start = Instant::now();
+        let work = AssertUnwindSafe(|| work(self).and_then(|()| self.report()));
+        let done = catch_unwind(work)
+            .unwrap_or_else(|panic| Err(MapperError::Panicked(panic_message(&*panic))));
+        self.busy += start.elapsed();
+        self.failure = done.err();
+        self.failure.is_none()
     }
 
-    /// Lets the mapper work, and reports what became of the map; `None` if the mapper fails.
-    pub fn work(
-        &mut self,
-        map: &MapSize,
-        work: impl FnOnce(&mut Mapper<M>) -> Result<(), MapperError>,
-    ) -> Option<Vec<SparseId>> {
-        let start = Instant::now();
-        let changes = work(&mut self.mapper).and_then(|()| self.mapper.take_removed());
-        self.busy += start.elapsed();
-        map.gaussians
-            .store(self.mapper.num_gaussians(), Ordering::Relaxed);
-        map.steps.store(self.mapper.steps(), Ordering::Relaxed);
-        changes.map_err(|error| self.failure = Some(error)).ok()
+    /// Starts on a keyframe, after the one before it has joined the map.
+    pub fn begin(&mut self, keyframe: Keyframe) -> Result<(), MapperError> {
+        self.settle()?;
+        let missing = self.mapper.missing_region(&keyframe)?;
+        self.preparation.begin(keyframe, missing)
+    }
+
+    /// Whether a keyframe is being prepared.
+    pub fn is_preparing(&self) -> bool {
+        self.preparation.is_busy()
+    }
+
+    /// Waits for the keyframe that is being prepared, if any, and lets it join the map.
+    pub fn settle(&mut self) -> Result<(), MapperError> {
+        match self.preparation.wait()? {
+            Some(prepared) => self.mapper.insert(prepared),
+            None => Ok(()),
+        }
+    }
+
+    /// One optimisation step; before it, a keyframe that is ready joins the map. The first keyframe
+    /// is waited for: without it there is nothing to optimise.
+    pub fn step(&mut self) -> Result<(), MapperError> {
+        if !self.mapper.has_views() {
+            self.settle()?;
+        } else if let Some(prepared) = self.preparation.poll()? {
+            self.mapper.insert(prepared)?;
+        }
+        self.mapper.step()
+    }
+
+    /// Whether there is a keyframe to optimise.
+    pub fn has_views(&self) -> bool {
+        self.mapper.has_views()
+    }
+
+    /// Moves the map with its keyframes.
+    pub fn move_keyframes(&mut self, moves: &[(KeyframeId, Se3)]) -> Result<(), MapperError> {
+        self.settle()?;
+        self.mapper.move_keyframes(moves)
+    }
+
+    /// A copy of the map.
+    pub fn gaussians(&mut self) -> Result<Gaussians, MapperError> {
+        self.mapper.gaussians()
+    }
+
+    /// The closing keyframe joins the map. It costs no optimisation step: those are spent.
+    pub fn close(&mut self, closing: Option<Keyframe>) {
+        self.turn(|worker| {
+            worker.settle()?;
+            if let Some(keyframe) = closing {
+                worker.begin(keyframe)?;
+                worker.settle()?;
+            }
+            Ok(())
+        });
+    }
+
+    /// Ends mapping. After a failure the map is what is known of it, after a panic perhaps nothing.
+    pub fn finish(self) -> MappingOutput {
+        let (device_bytes, steps) = (self.mapper.device_bytes(), self.mapper.steps());
+        let mapper = self.mapper;
+        MappingOutput {
+            gaussians: catch_unwind(AssertUnwindSafe(|| mapper.into_gaussians()))
+                .unwrap_or_default(),
+            device_bytes,
+            steps,
+            busy: self.busy,
+            failure: self.failure,
+        }
+    }
+
+    fn report(&mut self) -> Result<(), MapperError> {
+        let mut removed = self.mapper.take_removed()?;
+        self.status.lock().append(&mut removed);
+        let (gaussians, steps) = (self.mapper.num_gaussians(), self.mapper.steps());
+        self.status
+            .num_gaussians
+            .store(gaussians, Ordering::Relaxed);
+        self.status.steps.store(steps, Ordering::Relaxed);
+        if self.events.take_snapshot_request() {
+            let gaussians = Arc::new(self.mapper.gaussians()?);
+            self.events.publish(|| SlamEvent::Snapshot(gaussians));
+        }
+        Ok(())
     }
 }
 
-/// Waits for the mapper's thread.
-pub fn join<M>(
-    mapping: thread::ScopedJoinHandle<'_, MapperWorker<M>>,
-) -> Result<MapperWorker<M>, SlamError> {
-    mapping.join().map_err(|_| SlamError::MapperPanicked)
+/// What a panic said.
+fn panic_message(panic: &(dyn Any + Send)) -> String {
+    let text = panic.downcast_ref::<&str>().map(|text| (*text).to_owned());
+    text.or_else(|| panic.downcast_ref::<String>().cloned())
+        .unwrap_or_else(|| "a panic without a message".into())
 }

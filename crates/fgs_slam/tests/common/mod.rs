@@ -1,10 +1,14 @@
 //! A synthetic room for whole runs, and how well they did.
 
-#![allow(clippy::unwrap_used)]
+#![allow(clippy::unwrap_used, dead_code)]
 
-use fgs_geom::{Image, KeyframeId, RgbdFrame, Se3, View};
-use fgs_slam::{SlamConfig, SlamOutput};
-use fgs_splat::{CpuModel, GaussianModel, Seeds};
+use std::sync::atomic::AtomicBool;
+
+use fgs_geom::{Image, RgbdFrame, Se3, View};
+use fgs_slam::{
+    Execution, FrameStatus, Slam, SlamConfig, SlamOutput, drive, model_settings, replay,
+};
+use fgs_splat::{CpuModel, GaussianModel, Gaussians, Rasterizer};
 use fgs_synth::{SensorModel, Sequence, kinect_camera};
 
 pub type Frames = Vec<Result<RgbdFrame, std::io::Error>>;
@@ -24,6 +28,64 @@ pub fn frames(sequence: &Sequence) -> Frames {
     sequence.frames().map(Ok).collect()
 }
 
+pub fn cpu_model() -> Box<CpuModel> {
+    Box::new(CpuModel::new(model_settings(&config().mapping)))
+}
+
+pub fn session(sequence: &Sequence, execution: Execution) -> Slam {
+    session_with(sequence, execution, cpu_model())
+}
+
+pub fn session_with(
+    sequence: &Sequence,
+    execution: Execution,
+    model: Box<dyn GaussianModel>,
+) -> Slam {
+    Slam::new(sequence.camera(), &config(), execution, model).unwrap()
+}
+
+/// Feeds a session as `fgs run` does.
+pub fn feed(
+    slam: &mut Slam,
+    execution: Execution,
+    frames: impl IntoIterator<Item = Result<RgbdFrame, std::io::Error>>,
+) {
+    let (frames, stop) = (frames.into_iter(), AtomicBool::new(false));
+    match execution {
+        Execution::Realtime => replay(slam, frames, &stop),
+        _ => drive(slam, frames, &stop),
+    }
+}
+
+pub fn go(frames: Frames, sequence: &Sequence, execution: Execution) -> SlamOutput {
+    let mut slam = session(sequence, execution);
+    feed(&mut slam, execution, frames);
+    slam.finish()
+}
+
+/// A letter for each frame: Tracked, Lost, daMaged, Dropped.
+pub fn statuses(output: &SlamOutput) -> String {
+    let letter = |status| match status {
+        FrameStatus::Tracked => 'T',
+        FrameStatus::Lost => 'L',
+        FrameStatus::Damaged => 'M',
+        FrameStatus::Dropped => 'D',
+        _ => '?',
+    };
+    let frames = output.frames.iter();
+    frames.map(|frame| letter(frame.status)).collect()
+}
+
+pub fn count(output: &SlamOutput, status: FrameStatus) -> usize {
+    let frames = output.frames.iter();
+    frames.filter(|frame| frame.status == status).count()
+}
+
+pub fn poses(output: &SlamOutput) -> Vec<Option<Se3>> {
+    let frames = output.frames.iter();
+    frames.map(|frame| frame.world_from_camera).collect()
+}
+
 /// The largest distance between estimated and true camera positions, both seen from the first.
 pub fn worst_position_error_m(output: &SlamOutput, sequence: &Sequence) -> f64 {
     let first_from_world = sequence.world_from_camera(0).inverse();
@@ -35,22 +97,25 @@ pub fn worst_position_error_m(output: &SlamOutput, sequence: &Sequence) -> f64 {
     errors.fold(0.0, f64::max)
 }
 
+/// The map's colours from a pose.
+pub fn picture(
+    gaussians: &Gaussians,
+    sequence: &Sequence,
+    world_from_camera: Se3,
+) -> Image<[f32; 3]> {
+    let view = View {
+        camera: *sequence.camera(),
+        world_from_camera,
+    };
+    let mut rasterizer = Rasterizer::default();
+    rasterizer.render(gaussians, &view).rendered().color.clone()
+}
+
 /// How well the map shows a tracked frame, seen from the frame's estimated pose.
 pub fn psnr_of_map_db(output: &SlamOutput, sequence: &Sequence, index: usize) -> f64 {
-    let seen = sequence.frame(index);
-    let mut model = CpuModel::default();
-    let seeds = Seeds {
-        gaussians: output.gaussians.clone(),
-        sparse_ids: vec![None; output.gaussians.len()],
-    };
-    model.insert(&seeds, KeyframeId(0)).unwrap();
-    let rendered = model
-        .render(&View {
-            camera: seen.camera,
-            world_from_camera: output.frames[index].world_from_camera.unwrap(),
-        })
-        .unwrap();
-    psnr_db(&rendered.color, &seen.color)
+    let pose = output.frames[index].world_from_camera.unwrap();
+    let render = picture(&output.gaussians, sequence, pose);
+    psnr_db(&render, &sequence.frame(index).color)
 }
 
 fn psnr_db(render: &Image<[f32; 3]>, seen: &Image<[u8; 3]>) -> f64 {

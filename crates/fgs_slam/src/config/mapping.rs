@@ -1,0 +1,99 @@
+//! Settings of the map: where gaussians are seeded and how they are optimised (paper, Sec. III-A
+//! and III-D).
+
+use fgs_splat::{LearningRates, LossSettings, SettingError};
+use serde::{Deserialize, Serialize};
+
+/// Adaptive seeding (paper, Sec. III-A).
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct SeedingConfig {
+    /// Spacing of seeds where the image has detail (m in the paper).
+    pub high_stride_px: usize,
+    /// Spacing of seeds elsewhere (n in the paper).
+    pub low_stride_px: usize,
+    /// Standard deviation of a seed in the image plane where there is detail, Eq. (11).
+    pub high_sigma_px: f64,
+    /// Standard deviation of a seed in the image plane elsewhere, Eq. (11).
+    pub low_sigma_px: f64,
+    /// The map lacks gaussians where its accumulated alpha is less than this (M_i).
+    pub min_alpha: f32,
+    /// Also where it lies far behind the measured depth (M_d).
+    pub depth_mask: bool,
+    /// Also where its colour is far from the image's (M_c).
+    pub color_mask: bool,
+}
+
+/// Optimisation (paper, Sec. III-D).
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct MappingConfig {
+    /// Optimisation steps per input frame, on average.
+    pub iterations_per_frame: f64,
+    /// Share of the steps that go to keyframes covisible with the newest; the rest goes to the
+    /// others.
+    pub covisible_probability: f64,
+    /// At most so many keyframes stay in memory for optimisation.
+    pub max_keyframes: usize,
+    /// The images of at most so many of them lie on the graphics device, where one computes; the
+    /// rest waits in host memory. A view of 1200x680 takes 6.5 MB.
+    pub max_views_on_gpu: usize,
+    /// Steps between prunings.
+    pub prune_every: usize,
+    /// What a rendered view is compared by.
+    pub loss: LossSettings,
+    /// Learning rates.
+    pub learning_rates: LearningRates,
+}
+
+impl Default for SeedingConfig {
+    fn default() -> Self {
+        Self {
+            high_stride_px: 2,
+            low_stride_px: 4,
+            high_sigma_px: 0.8,
+            low_sigma_px: 1.6,
+            min_alpha: 0.98,
+            depth_mask: false,
+            color_mask: false,
+        }
+    }
+}
+
+impl Default for MappingConfig {
+    fn default() -> Self {
+        Self {
+            iterations_per_frame: 2.8,
+            covisible_probability: 0.3,
+            max_keyframes: 200,
+            max_views_on_gpu: 100,
+            prune_every: 200,
+            loss: LossSettings::default(),
+            learning_rates: LearningRates::default(),
+        }
+    }
+}
+
+impl SeedingConfig {
+    pub(super) fn validate(&self) -> Result<(), SettingError> {
+        SettingError::unless_count("high_stride_px", self.high_stride_px)?;
+        SettingError::unless_count("low_stride_px", self.low_stride_px)?;
+        SettingError::unless_positive("high_sigma_px", self.high_sigma_px)?;
+        SettingError::unless_positive("low_sigma_px", self.low_sigma_px)?;
+        SettingError::unless_share("min_alpha", self.min_alpha.into())
+    }
+}
+
+impl MappingConfig {
+    pub(super) fn validate(&self) -> Result<(), SettingError> {
+        SettingError::unless_within("iterations_per_frame", self.iterations_per_frame, 0.0..=1e4)?;
+        SettingError::unless_share("covisible_probability", self.covisible_probability)?;
+        SettingError::unless_count("max_keyframes", self.max_keyframes)?;
+        SettingError::unless_count("max_views_on_gpu", self.max_views_on_gpu)?;
+        SettingError::unless_count("prune_every", self.prune_every)?;
+        self.loss.validate().map_err(|e| e.within("loss"))?;
+        self.learning_rates
+            .validate()
+            .map_err(|e| e.within("learning_rates"))
+    }
+}

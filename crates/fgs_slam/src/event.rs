@@ -1,0 +1,169 @@
+//! What the outside sees of a session while it runs: progress bars and viewers subscribe.
+//!
+//! Every subscriber has a bounded queue of its own. A full queue misses events and counts them, so
+//! that nobody who looks on can hold up the tracker or the mapper.
+
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+use crossbeam_channel::{Receiver, Sender, TrySendError, bounded};
+use fgs_geom::{KeyframeId, Se3};
+use fgs_splat::Gaussians;
+
+use crate::frame_result::FrameResult;
+
+/// Something that happened.
+#[derive(Clone, Debug)]
+#[non_exhaustive]
+pub enum SlamEvent {
+    /// A frame was tracked, lost, dropped or found damaged.
+    Frame {
+        /// What became of it.
+        result: FrameResult,
+        /// Why it is damaged, if it is.
+        error: Option<String>,
+        /// Gaussians in the map, as far as known.
+        num_gaussians: usize,
+        /// Optimisation steps so far, as far as known.
+        steps: usize,
+    },
+    /// Keyframes have new poses `world_from_camera`; the map has moved with them.
+    Correction(Arc<[(KeyframeId, Se3)]>),
+    /// The map as it was a moment ago; comes when a subscriber asked for it.
+    Snapshot(Arc<Gaussians>),
+}
+
+/// One who looks on. Dropping it ends the subscription.
+#[derive(Debug)]
+pub struct Subscription {
+    events: Receiver<SlamEvent>,
+    missed: Arc<AtomicUsize>,
+    snapshot_wanted: Arc<AtomicBool>,
+}
+
+impl Subscription {
+    /// The queue; it is disconnected when the session has ended.
+    pub fn events(&self) -> &Receiver<SlamEvent> {
+        &self.events
+    }
+
+    /// How many events were missed because the queue was full.
+    pub fn missed(&self) -> usize {
+        self.missed.load(Ordering::Relaxed)
+    }
+
+    /// Asks for a [`SlamEvent::Snapshot`], which follows as soon as the mapper comes to it.
+    pub fn request_snapshot(&self) {
+        self.snapshot_wanted.store(true, Ordering::Relaxed);
+    }
+}
+
+/// Hands events to every subscriber. Clones share the subscribers.
+#[derive(Clone, Default)]
+pub(crate) struct EventHub {
+    subscribers: Arc<Mutex<Vec<Subscriber>>>,
+    snapshot_wanted: Arc<AtomicBool>,
+}
+
+struct Subscriber {
+    events: Sender<SlamEvent>,
+    missed: Arc<AtomicUsize>,
+}
+
+impl EventHub {
+    /// A new subscriber whose queue holds `capacity` events.
+    pub fn subscribe(&self, capacity: usize) -> Subscription {
+        let (sender, events) = bounded(capacity);
+        let missed = Arc::new(AtomicUsize::new(0));
+        self.lock().push(Subscriber {
+            events: sender,
+            missed: Arc::clone(&missed),
+        });
+        Subscription {
+            events,
+            missed,
+            snapshot_wanted: Arc::clone(&self.snapshot_wanted),
+        }
+    }
+
+    /// Whether a snapshot was asked for since the last call.
+    pub fn take_snapshot_request(&self) -> bool {
+        self.snapshot_wanted.swap(false, Ordering::Relaxed)
+    }
+
+    /// Hands an event to everyone whose queue has room. Makes none where nobody looks on.
+    pub fn publish(&self, event: impl FnOnce() -> SlamEvent) {
+        let mut subscribers = self.lock();
+        if subscribers.is_empty() {
+            return;
+        }
+        let event = event();
+        subscribers.retain(
+            |subscriber| match subscriber.events.try_send(event.clone()) {
+                Ok(()) => true,
+                Err(TrySendError::Full(_)) => {
+                    subscriber.missed.fetch_add(1, Ordering::Relaxed);
+                    true
+                }
+                Err(TrySendError::Disconnected(_)) => false,
+            },
+        );
+    }
+
+    /// Ends all subscriptions: their queues are disconnected once emptied.
+    pub fn close(&self) {
+        self.lock().clear();
+    }
+
+    /// A subscriber list is whole at every moment, also if a thread died holding the lock.
+    fn lock(&self) -> MutexGuard<'_, Vec<Subscriber>> {
+        self.subscribers
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn snapshot() -> SlamEvent {
+        SlamEvent::Snapshot(Arc::default())
+    }
+
+    #[test]
+    fn a_full_queue_misses_and_counts_and_the_others_do_not() {
+        let hub = EventHub::default();
+        let (slow, fast) = (hub.subscribe(2), hub.subscribe(5));
+        for _ in 0..5 {
+            hub.publish(snapshot);
+        }
+        assert_eq!((slow.missed(), slow.events().len()), (3, 2));
+        assert_eq!((fast.missed(), fast.events().len()), (0, 5));
+        slow.events().try_iter().for_each(drop);
+        hub.publish(snapshot);
+        assert_eq!((slow.missed(), slow.events().len()), (3, 1));
+    }
+
+    #[test]
+    fn a_dropped_subscription_is_forgotten_and_a_closed_hub_disconnects() {
+        let hub = EventHub::default();
+        drop(hub.subscribe(1));
+        let kept = hub.subscribe(1);
+        hub.publish(snapshot);
+        assert_eq!(hub.lock().len(), 1);
+        hub.close();
+        assert!(kept.events().recv().is_ok());
+        assert!(kept.events().recv().is_err());
+        hub.publish(|| unreachable!("nobody looks on"));
+    }
+
+    #[test]
+    fn a_snapshot_is_asked_for_once() {
+        let hub = EventHub::default();
+        let subscription = hub.subscribe(1);
+        assert!(!hub.take_snapshot_request());
+        subscription.request_snapshot();
+        assert!(hub.take_snapshot_request() && !hub.take_snapshot_request());
+    }
+}

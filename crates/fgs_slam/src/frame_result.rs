@@ -1,0 +1,85 @@
+//! What became of a frame.
+
+use std::fmt;
+use std::time::Duration;
+
+use fgs_geom::{FrameIndex, KeyframeId, Se3};
+use serde::{Deserialize, Serialize};
+
+use crate::keyframes::KeyframeKind;
+
+/// The verdict on a frame.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+#[non_exhaustive]
+pub enum FrameStatus {
+    /// It has a pose that can be trusted.
+    Tracked,
+    /// It was read but has no pose that can be trusted.
+    Lost,
+    /// It could not be read, or is no frame of this camera.
+    Damaged,
+    /// It came too late in real time.
+    Dropped,
+}
+
+impl fmt::Display for FrameStatus {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Tracked => "tracked",
+            Self::Lost => "lost",
+            Self::Damaged => "damaged",
+            Self::Dropped => "dropped",
+        })
+    }
+}
+
+/// The result of one frame.
+#[derive(Clone, Debug, PartialEq)]
+#[non_exhaustive]
+pub struct FrameResult {
+    /// Which frame.
+    pub index: FrameIndex,
+    /// Its time, seconds on the recording's clock; `None` if it was never read.
+    pub timestamp_secs: Option<f64>,
+    /// The verdict.
+    pub status: FrameStatus,
+    /// Its pose if it was tracked.
+    pub world_from_camera: Option<Se3>,
+    /// The keyframe that it became, if any.
+    pub keyframe: Option<(KeyframeId, KeyframeKind)>,
+    /// How it was tracked; `None` if it was not even tried.
+    pub tracking: Option<TrackingQuality>,
+}
+
+/// How well a frame could be registered.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[non_exhaustive]
+pub struct TrackingQuality {
+    /// How many of its points have a surface and were to be registered.
+    pub points: usize,
+    /// How many points the sparse map had then.
+    pub sparse_points: usize,
+    /// How many of its points correspond to the sparse map.
+    pub inliers: usize,
+    /// Root mean square distance of those along the surface normal, metres.
+    pub residual_m: f64,
+    /// How well the weakest direction is constrained relative to the strongest, 0 to 1.
+    pub conditioning: f64,
+    /// Wall time of tracking.
+    pub duration: Duration,
+}
+
+impl FrameResult {
+    /// A frame that was not tracked, and why.
+    pub(crate) fn untracked(index: FrameIndex, status: FrameStatus) -> Self {
+        Self {
+            index,
+            timestamp_secs: None,
+            status,
+            world_from_camera: None,
+            keyframe: None,
+            tracking: None,
+        }
+    }
+}

@@ -1,0 +1,143 @@
+//! The motion model: constant velocity in the camera's own axes, per second.
+//!
+//! In: the pose and time of each tracked frame. Out: the pose at which registration of the next
+//! frame starts. Because velocity is per second and not per frame, dropped frames, lost frames and
+//! uneven frame rates need no special care.
+
+use fgs_geom::Se3;
+use nalgebra::Vector6;
+
+/// Assumed between two frames whose time stamps do not advance: then velocity is in effect per
+/// frame, whatever this value.
+const NOMINAL_INTERVAL_SECS: f64 = 1.0 / 30.0;
+
+/// A hand does not keep its velocity for longer; the camera is then as likely to be anywhere near
+/// where it was last seen.
+const HORIZON_SECS: f64 = 0.5;
+
+/// Predicts where the camera is next.
+#[derive(Clone, Debug, Default)]
+pub struct MotionModel {
+    last: Option<TimedPose>,
+    /// Twist `[omega, v]` in the camera's axes, rad/s and m/s.
+    velocity: Vector6<f64>,
+}
+
+#[derive(Clone, Copy, Debug)]
+struct TimedPose {
+    world_from_camera: Se3,
+    timestamp_secs: f64,
+}
+
+impl TimedPose {
+    fn secs_until(&self, timestamp_secs: f64) -> f64 {
+        let interval = timestamp_secs - self.timestamp_secs;
+        if interval.is_finite() && interval > 0.0 {
+            interval
+        } else {
+            NOMINAL_INTERVAL_SECS
+        }
+    }
+}
+
+impl MotionModel {
+    /// `world_from_camera` expected at a time; `None` before the first observation. After a gap of
+    /// more than half a second, the last known pose.
+    pub fn predict(&self, timestamp_secs: f64) -> Option<Se3> {
+        let last = self.last?;
+        let interval = last.secs_until(timestamp_secs);
+        Some(if interval > HORIZON_SECS {
+            last.world_from_camera
+        } else {
+            last.world_from_camera * Se3::exp(&(interval * self.velocity))
+        })
+    }
+
+    /// A frame was tracked.
+    pub fn observe(&mut self, world_from_camera: Se3, timestamp_secs: f64) {
+        if let Some(last) = self.last {
+            let interval = last.secs_until(timestamp_secs);
+            self.velocity = if interval > HORIZON_SECS {
+                Vector6::zeros()
+            } else {
+                (last.world_from_camera.inverse() * world_from_camera).log() / interval
+            };
+        }
+        self.last = Some(TimedPose {
+            world_from_camera,
+            timestamp_secs,
+        });
+    }
+
+    /// The world around the camera moved rigidly, and the camera with it. Velocity, being in the
+    /// camera's axes, stays.
+    pub fn move_world(&mut self, new_world_from_old_world: &Se3) {
+        if let Some(last) = &mut self.last {
+            last.world_from_camera = *new_world_from_old_world * last.world_from_camera;
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A camera that turns and moves steadily.
+    fn pose(secs: f64) -> Se3 {
+        let start = Se3::exp(&Vector6::new(0.3, -0.8, 0.1, 1.0, 2.0, -0.5));
+        start * Se3::exp(&(secs * Vector6::new(0.9, -0.4, 0.6, 0.5, 1.2, -0.8)))
+    }
+
+    fn distance(a: &Se3, b: &Se3) -> f64 {
+        (a.inverse() * *b).log().norm()
+    }
+
+    #[test]
+    fn every_third_frame_missing_and_uneven_intervals_are_predicted() {
+        let mut motion = MotionModel::default();
+        assert!(motion.predict(0.0).is_none());
+        for i in (0..60).filter(|i| i % 3 != 2) {
+            // Jitter of a third of the interval.
+            let secs = (f64::from(i) + if i % 4 == 0 { 0.33 } else { 0.0 }) / 30.0;
+            if i > 1 {
+                let predicted = motion.predict(secs).unwrap();
+                assert!(distance(&predicted, &pose(secs)) <= 1e-9, "frame {i}");
+                // A prediction by frames would be off by half a frame's motion at least.
+                assert!(distance(&pose(secs), &pose(secs - 0.5 / 30.0)) >= 0.02);
+            }
+            motion.observe(pose(secs), secs);
+        }
+    }
+
+    #[test]
+    fn without_usable_time_stamps_velocity_is_per_frame() {
+        for stamps in [[7.0; 4], [f64::NAN; 4], [9.0, 8.0, 7.0, 6.0]] {
+            let mut motion = MotionModel::default();
+            for (i, stamp) in stamps[..3].iter().enumerate() {
+                motion.observe(pose(0.1 * i as f64), *stamp);
+            }
+            let predicted = motion.predict(stamps[3]).unwrap();
+            assert!(distance(&predicted, &pose(0.3)) <= 1e-9, "{stamps:?}");
+        }
+    }
+
+    #[test]
+    fn a_long_gap_forgets_the_velocity() {
+        let mut motion = MotionModel::default();
+        motion.observe(pose(0.0), 0.0);
+        motion.observe(pose(0.1), 0.1);
+        assert!(distance(&motion.predict(0.7).unwrap(), &pose(0.1)) <= 1e-12);
+        motion.observe(pose(2.0), 2.0);
+        assert!(distance(&motion.predict(2.1).unwrap(), &pose(2.0)) <= 1e-12);
+    }
+
+    #[test]
+    fn a_moved_world_moves_the_prediction_alike() {
+        let moved = Se3::exp(&Vector6::new(-0.2, 0.5, 0.9, 3.0, -1.0, 0.4));
+        let mut motion = MotionModel::default();
+        motion.observe(pose(0.0), 0.0);
+        motion.observe(pose(0.1), 0.1);
+        motion.move_world(&moved);
+        assert!(distance(&motion.predict(0.2).unwrap(), &(moved * pose(0.2))) <= 1e-9);
+    }
+}

@@ -1,0 +1,343 @@
+//! A session: frames in, one by one; poses, events and a map out. Everything that runs the system
+//! drives this one type.
+
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use fgs_geom::{Camera, FrameIndex, KeyframeId, RgbdFrame, Se3};
+use fgs_graph::KeyframeGraph;
+use fgs_splat::{GaussianModel, Gaussians, SettingError};
+use rayon::ThreadPool;
+
+use crate::config::SlamConfig;
+use crate::event::{EventHub, SlamEvent, Subscription};
+use crate::frame_result::{FrameResult, FrameStatus};
+use crate::keyframes::{Keyframe, KeyframeKind};
+use crate::mapper::MapperError;
+use crate::system::{self, Execution, MapStatus, MapperGone, Mapping, Moves};
+use crate::tracker::Tracker;
+
+/// Follows a camera and maps what it sees.
+///
+/// [`push`](Self::push) each frame, [`finish`](Self::finish) at the end. [`drive`](crate::drive),
+/// [`replay`](crate::replay) and [`live`](crate::live) do so for a recording or a camera.
+pub struct Slam {
+    camera: Camera,
+    tracker: Tracker,
+    /// The tracker's own threads, if it has any.
+    tracker_threads: Option<ThreadPool>,
+    mapping: Box<dyn Mapping>,
+    map: Arc<MapStatus>,
+    events: EventHub,
+    /// The one owner of keyframe poses.
+    graph: KeyframeGraph,
+    keyframes: Vec<(KeyframeId, KeyframeKind, FrameIndex)>,
+    frames: Vec<RecordedFrame>,
+    start: Instant,
+}
+
+/// A frame's result. Its pose is relative to a keyframe, so that it follows corrections.
+struct RecordedFrame {
+    result: FrameResult,
+    /// The keyframe, and `keyframe_from_camera`.
+    pose: Option<(KeyframeId, Se3)>,
+}
+
+/// What a session found.
+#[derive(Debug)]
+#[non_exhaustive]
+pub struct SlamOutput {
+    /// Every frame in its order, with its pose after all corrections.
+    pub frames: Vec<FrameResult>,
+    /// The keyframes, in order.
+    pub keyframes: Vec<KeyframeRecord>,
+    /// The keyframes' poses and how they hang together.
+    pub graph: KeyframeGraph,
+    /// The map.
+    pub gaussians: Gaussians,
+    /// Bytes that the map took on a graphics device at the end.
+    pub device_bytes: u64,
+    /// Where the time went.
+    pub timings: Timings,
+    /// Why the mapper could not go on, which ended the session early.
+    pub failure: Option<MapperError>,
+}
+
+/// A keyframe's place in the recording.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct KeyframeRecord {
+    /// Its name.
+    pub id: KeyframeId,
+    /// The frame.
+    pub index: FrameIndex,
+    /// What it is for.
+    pub kind: KeyframeKind,
+    /// Its pose after all corrections.
+    pub world_from_camera: Se3,
+}
+
+/// Wall-clock times of a session.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Timings {
+    /// From the session's start to the last step done, decoding included.
+    pub total: Duration,
+    /// All the mapper's work.
+    pub mapping: Duration,
+    /// Optimisation steps taken.
+    pub steps: usize,
+}
+
+/// Why a session refuses a call.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum SlamError {
+    /// A setting is impossible.
+    #[error(transparent)]
+    Setting(#[from] SettingError),
+    /// Threads do not start.
+    #[error("cannot start the threads that compute: {0}")]
+    Threads(#[from] std::io::Error),
+    /// The frame is not of the session's camera.
+    #[error("frame {} is not of this session's camera: {frame:?}, expected {session:?}", index.0)]
+    OtherCamera {
+        /// Which frame.
+        index: FrameIndex,
+        /// Its camera.
+        frame: Box<Camera>,
+        /// The session's.
+        session: Box<Camera>,
+    },
+    /// There is no keyframe of this name.
+    #[error("there is no keyframe {0:?}")]
+    NoSuchKeyframe(KeyframeId),
+    /// The mapper has failed; [`Slam::finish`] says why and returns what there was.
+    #[error("the mapper has stopped")]
+    MapperStopped,
+}
+
+impl From<MapperGone> for SlamError {
+    fn from(_: MapperGone) -> Self {
+        Self::MapperStopped
+    }
+}
+
+impl Slam {
+    /// A session of frames of one camera, with an empty map. The model must be empty; it is made
+    /// with [`model_settings`](crate::model_settings).
+    ///
+    /// # Errors
+    /// If a setting is impossible or threads do not start.
+    pub fn new(
+        camera: &Camera,
+        config: &SlamConfig,
+        execution: Execution,
+        model: Box<dyn GaussianModel>,
+    ) -> Result<Self, SlamError> {
+        config.validate()?;
+        let (map, events) = (Arc::default(), EventHub::default());
+        let (mapping, tracker_threads) =
+            system::start(camera, config, execution, model, &map, &events)?;
+        Ok(Self {
+            camera: *camera,
+            tracker: Tracker::new(camera, config),
+            tracker_threads,
+            mapping,
+            map,
+            events,
+            graph: KeyframeGraph::new(),
+            keyframes: Vec::new(),
+            frames: Vec::new(),
+            start: Instant::now(),
+        })
+    }
+
+    /// A queue of up to `capacity` events. When it is full, events are missed and counted; the
+    /// session never waits.
+    pub fn subscribe(&self, capacity: usize) -> Subscription {
+        self.events.subscribe(capacity)
+    }
+
+    /// Tracks a frame and lets the mapper have its turn.
+    ///
+    /// # Errors
+    /// If the frame is not of the session's camera (it is then recorded as damaged) or the mapper has
+    /// stopped.
+    pub fn push(&mut self, frame: RgbdFrame) -> Result<FrameResult, SlamError> {
+        if let Err(error) = self.check(&frame) {
+            self.record_untracked(frame.index, FrameStatus::Damaged, Some(error.to_string()));
+            return Err(error);
+        }
+        let frame = Arc::new(frame);
+        self.tracker.remove_points(&self.map.take_removed());
+        let may_become_keyframe = self.mapping.accepts_keyframe();
+        let tracker = &mut self.tracker;
+        let tracked = match &self.tracker_threads {
+            Some(threads) => threads.install(|| tracker.track(&frame, may_become_keyframe)),
+            None => tracker.track(&frame, may_become_keyframe),
+        };
+        let keyframe = tracked.keyframe;
+        if let Some(keyframe) = &keyframe {
+            self.add_keyframe(keyframe);
+        }
+        let result = FrameResult {
+            index: frame.index,
+            timestamp_secs: Some(frame.timestamp_secs),
+            status: match tracked.world_from_camera {
+                Some(_) => FrameStatus::Tracked,
+                None => FrameStatus::Lost,
+            },
+            world_from_camera: tracked.world_from_camera,
+            keyframe: keyframe
+                .as_ref()
+                .map(|keyframe| (keyframe.id, keyframe.kind)),
+            tracking: Some(tracked.quality),
+        };
+        self.record(result.clone(), None);
+        self.mapping.after_frame(keyframe)?;
+        Ok(result)
+    }
+
+    /// Records that the next frame could not be read.
+    pub fn skip_damaged(&mut self, error: &str) {
+        self.record_untracked(self.next_index(), FrameStatus::Damaged, Some(error.into()));
+    }
+
+    /// Records that a frame came too late to be tracked.
+    pub fn skip_late(&mut self, frame: &RgbdFrame) {
+        self.record_untracked(frame.index, FrameStatus::Dropped, None);
+    }
+
+    /// Records that the next frame was dropped before it was read.
+    pub(crate) fn skip_overflowed(&mut self) {
+        self.record_untracked(self.next_index(), FrameStatus::Dropped, None);
+    }
+
+    /// A copy of the map with all keyframes so far. The mapper goes on meanwhile.
+    ///
+    /// # Errors
+    /// If the mapper has stopped.
+    pub fn snapshot(&mut self) -> Result<Gaussians, SlamError> {
+        Ok(self.mapping.snapshot()?)
+    }
+
+    /// Moves keyframes, each by its `new_world_from_old_world`, and with them the poses of their
+    /// frames, the map, the tracker and its motion.
+    ///
+    /// # Errors
+    /// If a keyframe is unknown (nothing has moved then) or the mapper has stopped.
+    pub fn move_keyframes(&mut self, moves: &[(KeyframeId, Se3)]) -> Result<(), SlamError> {
+        if let Some((id, _)) = moves.iter().find(|(id, _)| self.graph.pose(*id).is_none()) {
+            return Err(SlamError::NoSuchKeyframe(*id));
+        }
+        self.graph.move_keyframes(moves);
+        self.tracker.move_keyframes(moves);
+        self.mapping.move_keyframes(&Moves::from(moves))?;
+        let graph = &self.graph;
+        self.events.publish(|| {
+            let poses = moves.iter().map(|(id, _)| (*id, graph.pose(*id)));
+            SlamEvent::Correction(poses.filter_map(|(id, pose)| Some((id, *pose?))).collect())
+        });
+        Ok(())
+    }
+
+    /// The keyframes' poses and how they hang together.
+    pub fn graph(&self) -> &KeyframeGraph {
+        &self.graph
+    }
+
+    /// Waits until a time; `false` as soon as the mapper is gone.
+    pub(crate) fn wait_until(&self, time: Instant) -> bool {
+        self.mapping.wait_until(time).is_ok()
+    }
+
+    /// Ends the session. The last tracked frame becomes a keyframe, so that the map reaches as far as
+    /// the camera did. Whatever the mapper's fate, everything so far is returned.
+    pub fn finish(mut self) -> SlamOutput {
+        let closing = self.tracker.finish();
+        if let Some(keyframe) = &closing {
+            self.add_keyframe(keyframe);
+            let mut frames = self.frames.iter_mut().rev();
+            if let Some(frame) = frames.find(|frame| frame.result.index == keyframe.frame.index) {
+                frame.result.keyframe = Some((keyframe.id, keyframe.kind));
+            }
+        }
+        let mapped = self.mapping.finish(closing);
+        self.events.close();
+        let graph = self.graph;
+        let pose = |id| graph.pose(id).copied().unwrap_or_else(Se3::identity);
+        SlamOutput {
+            frames: self
+                .frames
+                .into_iter()
+                .map(|frame| FrameResult {
+                    world_from_camera: frame.pose.map(|(keyframe, keyframe_from_camera)| {
+                        pose(keyframe) * keyframe_from_camera
+                    }),
+                    ..frame.result
+                })
+                .collect(),
+            keyframes: self
+                .keyframes
+                .into_iter()
+                .map(|(id, kind, index)| KeyframeRecord {
+                    id,
+                    index,
+                    kind,
+                    world_from_camera: pose(id),
+                })
+                .collect(),
+            gaussians: mapped.gaussians,
+            device_bytes: mapped.device_bytes,
+            timings: Timings {
+                total: self.start.elapsed(),
+                mapping: mapped.busy,
+                steps: mapped.steps,
+            },
+            failure: mapped.failure,
+            graph,
+        }
+    }
+
+    fn check(&self, frame: &RgbdFrame) -> Result<(), SlamError> {
+        if frame.camera == self.camera {
+            return Ok(());
+        }
+        Err(SlamError::OtherCamera {
+            index: frame.index,
+            frame: Box::new(frame.camera),
+            session: Box::new(self.camera),
+        })
+    }
+
+    fn add_keyframe(&mut self, keyframe: &Keyframe) {
+        self.graph
+            .add_keyframe(keyframe.id, keyframe.world_from_camera);
+        self.keyframes
+            .push((keyframe.id, keyframe.kind, keyframe.frame.index));
+    }
+
+    fn next_index(&self) -> FrameIndex {
+        let last = self.frames.last();
+        FrameIndex(last.map_or(0, |frame| frame.result.index.0 + 1))
+    }
+
+    fn record_untracked(&mut self, index: FrameIndex, status: FrameStatus, error: Option<String>) {
+        self.record(FrameResult::untracked(index, status), error);
+    }
+
+    fn record(&mut self, result: FrameResult, error: Option<String>) {
+        let newest = self.tracker.newest_keyframe();
+        let pose = result.world_from_camera.and_then(|world_from_camera| {
+            let keyframe = newest?;
+            let world_from_keyframe = self.graph.pose(keyframe)?;
+            Some((keyframe, world_from_keyframe.inverse() * world_from_camera))
+        });
+        self.events.publish(|| SlamEvent::Frame {
+            result: result.clone(),
+            error,
+            num_gaussians: self.map.num_gaussians(),
+            steps: self.map.steps(),
+        });
+        self.frames.push(RecordedFrame { result, pose });
+    }
+}

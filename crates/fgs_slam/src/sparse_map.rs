@@ -1,0 +1,147 @@
+//! The tracker's copy of the sparse map: positions and covariances of its gaussians as they were
+//! measured, in a point map that grows, and shrinks where the mapper prunes.
+//!
+//! Every point is anchored to the keyframe that brought it and moves with it. A keyframe's points
+//! have consecutive ids, so that anchors take one entry per keyframe.
+
+use fgs_geom::{KeyframeId, Se3};
+use fgs_gicp::{Point, PointMap};
+use fgs_splat::SparseId;
+
+/// Side of the point map's cells as a multiple of the search distance. Affects speed only: from 3
+/// to 6 it makes no difference; at 1 tracking takes twice as long.
+const CELL_DISTANCES: f32 = 4.0;
+
+/// The sparse map.
+pub struct SparseMap {
+    points: PointMap,
+    /// Each keyframe that brought points, with the first of its ids; ascending.
+    anchors: Vec<(u32, KeyframeId)>,
+    next_id: u32,
+}
+
+impl SparseMap {
+    /// An empty map that is searched up to this distance.
+    pub fn new(search_distance_m: f64) -> Self {
+        Self {
+            points: PointMap::new(CELL_DISTANCES * search_distance_m as f32),
+            anchors: Vec::new(),
+            next_id: 0,
+        }
+    }
+
+    /// The target of a registration.
+    pub fn points(&self) -> &PointMap {
+        &self.points
+    }
+
+    /// Lets those of a keyframe's points (world axes) join that are further than `spacing_m` from
+    /// every point so far; their positions in the input, and their ids.
+    pub fn extend(
+        &mut self,
+        anchor: KeyframeId,
+        in_world: &[Point],
+        spacing_m: f64,
+    ) -> Vec<(usize, SparseId)> {
+        // Decided before any joins: a frame's own points do not keep each other out.
+        let new: Vec<usize> = (0..in_world.len())
+            .filter(|&i| {
+                let position = &in_world[i].position;
+                self.points.nearest(position, spacing_m as f32).is_none()
+            })
+            .collect();
+        self.anchors.push((self.next_id, anchor));
+        new.into_iter()
+            .map(|i| {
+                let id = self.next_id;
+                self.next_id += 1;
+                self.points.insert(id.into(), in_world[i]);
+                (i, SparseId(id))
+            })
+            .collect()
+    }
+
+    /// Forgets points.
+    pub fn remove(&mut self, ids: &[SparseId]) {
+        for id in ids {
+            self.points.remove(id.0.into());
+        }
+    }
+
+    /// Moves the points anchored to each keyframe by its `new_world_from_old_world`.
+    pub fn move_anchored(&mut self, moves: &[(KeyframeId, Se3)]) {
+        let ends = self.anchors.iter().skip(1).map(|(first, _)| *first);
+        let ends = ends.chain([self.next_id]);
+        for (&(first, anchor), end) in self.anchors.iter().zip(ends) {
+            let Some((_, new_from_old)) = moves.iter().find(|(id, _)| *id == anchor) else {
+                continue;
+            };
+            for id in (first..end).map(u64::from) {
+                if let Some(point) = self.points.get(id) {
+                    let moved = point.transformed(new_from_old);
+                    self.points.insert(id, moved);
+                }
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use fgs_gicp::Covariance;
+    use nalgebra::{Matrix3, Vector3, Vector6};
+
+    use super::*;
+
+    fn points(z: f32) -> Vec<Point> {
+        let covariance = Matrix3::from_diagonal(&Vector3::new(1.0, 1.0, 1e-3));
+        let covariance = Covariance::regularized(&covariance).unwrap();
+        let at = |i| Point {
+            position: Vector3::new(0.1 * i as f32, 0.0, z),
+            covariance,
+        };
+        (0..4).map(at).collect()
+    }
+
+    fn map() -> SparseMap {
+        let mut map = SparseMap::new(0.03);
+        map.extend(KeyframeId(0), &points(1.0), 0.02);
+        map.extend(KeyframeId(3), &points(2.0), 0.02);
+        map
+    }
+
+    #[test]
+    fn only_what_is_new_joins() {
+        let mut map = map();
+        let mut some = points(1.0);
+        some[2].position.y = 0.5;
+        let joined = map.extend(KeyframeId(4), &some, 0.02);
+        assert_eq!(joined, [(2, SparseId(8))]);
+        assert_eq!(map.points().len(), 9);
+        map.remove(&[SparseId(8), SparseId(8), SparseId(99)]);
+        assert_eq!(map.points().len(), 8);
+    }
+
+    #[test]
+    fn a_moved_keyframe_moves_exactly_its_points_and_back() {
+        let (mut map, before) = (map(), map());
+        let motion = Se3::exp(&Vector6::new(0.3, -0.2, 0.5, 0.4, 0.1, -0.6));
+        map.move_anchored(&[(KeyframeId(3), motion), (KeyframeId(7), motion)]);
+        for id in 0..4 {
+            assert_eq!(map.points().get(id), before.points().get(id));
+        }
+        for id in 4..8 {
+            let (new, old) = (map.points().get(id), before.points().get(id));
+            assert_eq!(new.copied(), old.map(|point| point.transformed(&motion)));
+            // It is found where it now is.
+            let found = map.points().nearest(&new.unwrap().position, 1e-3);
+            assert_eq!(found.unwrap().id, id);
+        }
+        map.move_anchored(&[(KeyframeId(3), motion.inverse())]);
+        for id in 4..8 {
+            let (new, old) = (map.points().get(id), before.points().get(id));
+            let error = new.unwrap().position - old.unwrap().position;
+            assert!(error.norm() <= 1e-6);
+        }
+    }
+}

@@ -1,0 +1,37 @@
+//! How the mapper gets its turns: what a session asks of each way to run it.
+
+use std::sync::Arc;
+use std::time::Instant;
+
+use fgs_geom::{KeyframeId, Se3};
+use fgs_splat::Gaussians;
+
+use super::worker::MappingOutput;
+use crate::keyframes::Keyframe;
+
+/// The mapper cannot go on; [`Mapping::finish`] says why.
+pub struct MapperGone;
+
+/// Rigid motions of keyframes, each `new_world_from_old_world`.
+pub type Moves = Arc<[(KeyframeId, Se3)]>;
+
+/// A mapper at work.
+pub trait Mapping: Send {
+    /// Whether a keyframe can be handed over without the tracker having to wait for the mapper.
+    fn accepts_keyframe(&self) -> bool;
+
+    /// A frame was tracked and may have become a keyframe.
+    fn after_frame(&mut self, keyframe: Option<Keyframe>) -> Result<(), MapperGone>;
+
+    /// Keyframes have moved, and the map must move with them.
+    fn move_keyframes(&mut self, moves: &Moves) -> Result<(), MapperGone>;
+
+    /// A copy of the map with every keyframe handed over so far.
+    fn snapshot(&mut self) -> Result<Gaussians, MapperGone>;
+
+    /// Waits until a time, or until the mapper is gone.
+    fn wait_until(&self, time: Instant) -> Result<(), MapperGone>;
+
+    /// Ends mapping; the closing keyframe, if any, still joins the map.
+    fn finish(self: Box<Self>, closing: Option<Keyframe>) -> MappingOutput;
+}

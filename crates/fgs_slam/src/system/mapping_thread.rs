@@ -1,0 +1,131 @@
+//! The mapper on a thread of its own. What it does with its time is given by the mode; messages
+//! come to it over a bounded channel, and a channel whose other end is gone ends every wait.
+
+use std::convert::Infallible;
+use std::io;
+use std::thread::{Builder, JoinHandle};
+use std::time::Instant;
+
+use crossbeam_channel::{Receiver, RecvTimeoutError, Sender, bounded};
+use fgs_splat::Gaussians;
+
+use super::mapping::{MapperGone, Mapping, Moves};
+use super::worker::{MapperWorker, MappingOutput};
+use crate::keyframes::Keyframe;
+
+/// What the tracking side tells the mapper.
+pub enum Message {
+    /// A frame was tracked and may have become a keyframe.
+    Frame(Option<Keyframe>),
+    /// Keyframes have moved.
+    Move(Moves),
+    /// A copy of the map is wanted.
+    Snapshot(Sender<Gaussians>),
+}
+
+/// A mapper on its thread.
+pub struct MappingThread {
+    messages: Sender<Message>,
+    /// Disconnected when the mapper has ended.
+    alive: Receiver<Infallible>,
+    thread: JoinHandle<MapperWorker>,
+    policy: Policy,
+}
+
+/// Which messages the mapper gets, and whether the tracker waits for it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Policy {
+    /// One for every frame; the tracker waits when the queue is full.
+    EveryFrame,
+    /// Only keyframes, and only while the queue has room.
+    KeyframesWhileRoom,
+}
+
+impl MappingThread {
+    /// Lets `optimize` work off the messages, of which up to `capacity` may wait, until they end or
+    /// the mapper fails.
+    ///
+    /// # Errors
+    /// If the thread does not start.
+    pub fn start(
+        mut worker: MapperWorker,
+        policy: Policy,
+        capacity: usize,
+        optimize: impl FnOnce(&mut MapperWorker, &Receiver<Message>) + Send + 'static,
+    ) -> io::Result<Self> {
+        let (messages, queue) = bounded(capacity);
+        let (lives, alive) = bounded(0);
+        let thread = Builder::new().name("mapper".into()).spawn(move || {
+            optimize(&mut worker, &queue);
+            drop(lives);
+            worker
+        })?;
+        Ok(Self {
+            messages,
+            alive,
+            thread,
+            policy,
+        })
+    }
+
+    fn send(&self, message: Message) -> Result<(), MapperGone> {
+        self.messages.send(message).map_err(|_| MapperGone)
+    }
+}
+
+/// Does what a message asks for, apart from optimisation; `false` if the mapper is gone.
+pub fn obey(worker: &mut MapperWorker, message: Message) -> bool {
+    worker.turn(|worker| match message {
+        Message::Frame(Some(keyframe)) => worker.begin(keyframe),
+        Message::Frame(None) => Ok(()),
+        Message::Move(moves) => worker.move_keyframes(&moves),
+        Message::Snapshot(answer) => {
+            worker.settle()?;
+            // Whoever asked may have given up.
+            let _ = answer.send(worker.gaussians()?);
+            Ok(())
+        }
+    })
+}
+
+impl Mapping for MappingThread {
+    fn accepts_keyframe(&self) -> bool {
+        self.policy == Policy::EveryFrame || !self.messages.is_full()
+    }
+
+    fn after_frame(&mut self, keyframe: Option<Keyframe>) -> Result<(), MapperGone> {
+        if keyframe.is_none() && self.policy == Policy::KeyframesWhileRoom {
+            return self.wait_until(Instant::now());
+        }
+        self.send(Message::Frame(keyframe))
+    }
+
+    fn move_keyframes(&mut self, moves: &Moves) -> Result<(), MapperGone> {
+        self.send(Message::Move(Moves::clone(moves)))
+    }
+
+    fn snapshot(&mut self) -> Result<Gaussians, MapperGone> {
+        let (answer, gaussians) = bounded(1);
+        self.send(Message::Snapshot(answer))?;
+        gaussians.recv().map_err(|_| MapperGone)
+    }
+
+    fn wait_until(&self, time: Instant) -> Result<(), MapperGone> {
+        match self.alive.recv_deadline(time) {
+            Ok(never) => match never {},
+            Err(RecvTimeoutError::Timeout) => Ok(()),
+            Err(RecvTimeoutError::Disconnected) => Err(MapperGone),
+        }
+    }
+
+    fn finish(self: Box<Self>, closing: Option<Keyframe>) -> MappingOutput {
+        drop(self.messages);
+        match self.thread.join() {
+            Ok(mut worker) => {
+                worker.close(closing);
+                worker.finish()
+            }
+            Err(panic) => MappingOutput::panicked(&*panic),
+        }
+    }
+}
