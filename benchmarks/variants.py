@@ -1,4 +1,4 @@
-"""Every choice the design leaves open, run on every recording.
+"""Every choice that is a setting, run on every recording.
 
     python benchmarks/variants.py OUT "RECORDING [options of fgs run]"...
 
@@ -16,32 +16,21 @@ from concurrent.futures import ThreadPoolExecutor
 
 import fgs_run
 
-# The paper's choices where it says, else what seemed best before this was measured.
-BASE = [
-    "seeding.depth_mask=true", "seeding.color_mask=true", "seeding.disks=normal", "tracking.target=seeded",
-    "keyframes.new_points=distance", "seeding.clahe=true", "mapping.loss.normalize_depth=true",
-    "mapping.loss.mask_color_by_depth=false",
-]
-# What each changes of it.
+# What each variant changes of the defaults.
 VARIANTS = {
-    "base": [],
-    "mask: opacity only": ["seeding.depth_mask=false", "seeding.color_mask=false"],
-    "mask: opacity, depth": ["seeding.color_mask=false"],
-    "disks: by view": ["seeding.disks=view"],
-    "target: neighbors": ["tracking.target=neighbors"],
-    "new points: by mask": ["keyframes.new_points=mask"],
-    "CLAHE: off": ["seeding.clahe=false"],
+    "defaults": [],
+    "mask: opacity, depth": ["seeding.depth_mask=true"],
+    "mask: opacity, depth, colour": ["seeding.depth_mask=true", "seeding.color_mask=true"],
+    "covisible keyframes: 0.7": ["mapping.covisible_probability=0.7"],
     "depth: not normalised": ["mapping.loss.normalize_depth=false"],
     "colour: only where depth is": ["mapping.loss.mask_color_by_depth=true"],
-    "defaults": None,  # all that came out of this
 }
 COLUMNS = ["psnr_valid_depth_db", "psnr_db", "psnr_heldout_db", "ssim", "depth_l1_m", "ate_rmse_m", "frames_lost", "num_gaussians", "fps"]
 
 
 def run(recording, options, variant, threads):
     """The metrics of one run, as one row of raw.csv."""
-    changes = [] if VARIANTS[variant] is None else BASE + VARIANTS[variant]
-    changes = [word for change in changes for word in ("--set", change)]
+    changes = [word for change in VARIANTS[variant] for word in ("--set", change)]
     metrics = fgs_run.metrics(recording, [*options, *changes, "--threads", str(threads)])
     name = pathlib.Path(recording).name
     return {"recording": name, "variant": variant, "commit": metrics["commit"]} | {key: metrics[key] for key in COLUMNS}

@@ -2,7 +2,8 @@
 //! a Fourier segmentation of the image.
 //!
 //! A [`Slam`] session takes frames one by one. [`drive`] feeds it a recording, [`replay`] does so at
-//! the recording's own pace, [`live`] feeds it a camera.
+//! the recording's own pace, [`live`] feeds it a camera. A [`Mapper`] alone, with a
+//! [`KeyframePreparer`], builds a map from poses that are known.
 
 mod config;
 mod event;
@@ -27,7 +28,8 @@ pub use config::{
 pub use event::{SlamEvent, Subscription};
 pub use fgs_splat::SettingError;
 pub use frame_result::{FrameResult, FrameStatus, TrackingQuality};
-pub use keyframes::KeyframeKind;
-pub use mapper::{MapperError, model_settings};
+pub use keyframes::{Keyframe, KeyframeKind, NewPoint};
+pub use mapper::{Mapper, MapperError, model_settings};
+pub use prepare::{KeyframePreparer, PreparedKeyframe};
 pub use session::{KeyframeRecord, Slam, SlamError, SlamOutput, Timings};
 pub use system::{Execution, UnknownExecution, drive, live, replay};

@@ -22,8 +22,8 @@ type Prepared = Result<PreparedKeyframe, LossError>;
 pub enum Preparation {
     /// At once, on the thread that asks.
     InTurn {
-        preparer: KeyframePreparer,
-        ready: Option<PreparedKeyframe>,
+        preparer: Box<KeyframePreparer>,
+        ready: Option<Box<PreparedKeyframe>>,
     },
     /// On a thread that lives as long as this.
     OnThread {
@@ -36,7 +36,7 @@ pub enum Preparation {
 impl Preparation {
     pub fn in_turn(preparer: KeyframePreparer) -> Self {
         Self::InTurn {
-            preparer,
+            preparer: Box::new(preparer),
             ready: None,
         }
     }
@@ -67,7 +67,7 @@ impl Preparation {
     pub fn begin(&mut self, keyframe: Keyframe, missing: Image<bool>) -> Result<(), MapperError> {
         match self {
             Self::InTurn { preparer, ready } => {
-                *ready = Some(preparer.prepare(keyframe, &missing)?);
+                *ready = Some(Box::new(preparer.prepare(keyframe, &missing)?));
             }
             Self::OnThread { jobs, busy, .. } => {
                 jobs.send((keyframe, missing)).map_err(|_| gone())?;
@@ -96,7 +96,7 @@ impl Preparation {
     /// The keyframe under way, once it is ready; `None` if there is none.
     pub fn wait(&mut self) -> Result<Option<PreparedKeyframe>, MapperError> {
         match self {
-            Self::InTurn { ready, .. } => Ok(ready.take()),
+            Self::InTurn { ready, .. } => Ok(ready.take().map(|ready| *ready)),
             Self::OnThread { answers, busy, .. } => {
                 if !std::mem::take(busy) {
                     return Ok(None);
