@@ -1,28 +1,24 @@
-//! stub
-use fgs_geom::{KeyframeId, Se3};
-use std::collections::BTreeMap;
-/// stub
-#[derive(Debug, Default, Clone)]
-pub struct KeyframeGraph(BTreeMap<KeyframeId, Se3>);
-#[allow(missing_docs)]
-impl KeyframeGraph {
-    pub fn new() -> Self {
-        Self::default()
-    }
-    pub fn add_keyframe(&mut self, id: KeyframeId, pose: Se3) {
-        self.0.insert(id, pose);
-    }
-    pub fn pose(&self, id: KeyframeId) -> Option<&Se3> {
-        self.0.get(&id)
-    }
-    pub fn poses(&self) -> impl Iterator<Item = (KeyframeId, &Se3)> {
-        self.0.iter().map(|(a, b)| (*a, b))
-    }
-    pub fn move_keyframes(&mut self, moves: &[(KeyframeId, Se3)]) {
-        for (id, m) in moves {
-            if let Some(p) = self.0.get_mut(id) {
-                *p = *m * *p;
-            }
-        }
-    }
-}
+//! The keyframe graph: poses of keyframes, measured relative poses between them, and the poses that
+//! fit all measurements best. Usable alone.
+//!
+//! [`KeyframeGraph`] owns the poses `world_from_keyframe`. An [`Edge`] says how two keyframes were
+//! found to lie to each other, and how sure that is. [`KeyframeGraph::optimize`] minimises
+//! `sum over edges of rho(r^T I r)`, with `r = log(measured^-1 * from^-1 * to)`, over all poses.
+//!
+//! The optimisation is ours because the kept crates for it bring more than they save here (an
+//! optimiser for any manifold and any factor, a dense algebra library of their own); the sparse
+//! Cholesky decomposition is nalgebra's.
+
+mod components;
+mod edge;
+mod graph;
+mod kernel;
+mod normal_equations;
+mod optimize;
+mod ordering;
+mod tangent;
+
+pub use edge::Edge;
+pub use graph::{GraphError, KeyframeGraph};
+pub use kernel::RobustKernel;
+pub use optimize::{OptimizeSettings, Optimized};

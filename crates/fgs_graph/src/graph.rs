@@ -1,0 +1,107 @@
+//! The graph itself: who owns the poses of keyframes, and what was measured between them.
+
+use std::collections::BTreeMap;
+
+use fgs_geom::{KeyframeId, Se3};
+
+use crate::edge::Edge;
+
+/// Keyframes with their poses, and edges between them.
+#[derive(Clone, Debug, Default)]
+pub struct KeyframeGraph {
+    pub(crate) poses: BTreeMap<KeyframeId, Se3>,
+    pub(crate) edges: Vec<Edge>,
+}
+
+/// Why a graph refuses a call.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum GraphError {
+    /// An edge's end is no keyframe of the graph.
+    #[error("there is no keyframe {0:?}")]
+    NoSuchKeyframe(KeyframeId),
+    /// An edge from a keyframe to itself.
+    #[error("an edge from keyframe {0:?} to itself")]
+    SelfEdge(KeyframeId),
+    /// An edge whose numbers are not finite, whose information is not symmetric and positive
+    /// definite, or whose kernel's threshold is not positive.
+    #[error("the edge from keyframe {from:?} to {to:?} is no measurement")]
+    InvalidEdge {
+        /// One end.
+        from: KeyframeId,
+        /// The other end.
+        to: KeyframeId,
+    },
+    /// Poses that are not finite, or so far apart that their errors are not.
+    #[error("the poses' errors are not finite")]
+    NotFinite,
+}
+
+impl KeyframeGraph {
+    /// No keyframes.
+    pub fn new() -> Self {
+        Self::default()
+    }
+
+    /// Adds a keyframe at `world_from_keyframe`. One that is there already gets this pose.
+    pub fn add_keyframe(&mut self, id: KeyframeId, world_from_keyframe: Se3) {
+        self.poses.insert(id, world_from_keyframe);
+    }
+
+    /// `world_from_keyframe`.
+    pub fn pose(&self, id: KeyframeId) -> Option<&Se3> {
+        self.poses.get(&id)
+    }
+
+    /// All keyframes with their poses, ascending by id.
+    pub fn poses(&self) -> impl Iterator<Item = (KeyframeId, &Se3)> {
+        self.poses.iter().map(|(id, pose)| (*id, pose))
+    }
+
+    /// Number of keyframes.
+    pub fn len(&self) -> usize {
+        self.poses.len()
+    }
+
+    /// Whether there are no keyframes.
+    pub fn is_empty(&self) -> bool {
+        self.poses.is_empty()
+    }
+
+    /// Moves keyframes, each by its `new_world_from_old_world`. Unknown ones are ignored.
+    pub fn move_keyframes(&mut self, moves: &[(KeyframeId, Se3)]) {
+        for (id, new_from_old) in moves {
+            if let Some(pose) = self.poses.get_mut(id) {
+                *pose = *new_from_old * *pose;
+            }
+        }
+    }
+
+    /// Adds a measurement.
+    ///
+    /// # Errors
+    /// If an end is unknown, both ends are the same, or the edge is no valid measurement.
+    pub fn add_edge(&mut self, edge: Edge) -> Result<(), GraphError> {
+        for id in [edge.from, edge.to] {
+            if !self.poses.contains_key(&id) {
+                return Err(GraphError::NoSuchKeyframe(id));
+            }
+        }
+        if edge.from == edge.to {
+            return Err(GraphError::SelfEdge(edge.from));
+        }
+        if !edge.is_valid() {
+            return Err(GraphError::InvalidEdge {
+                from: edge.from,
+                to: edge.to,
+            });
+        }
+        self.edges.push(edge);
+        Ok(())
+    }
+
+    /// All measurements, in the order they came.
+    pub fn edges(&self) -> &[Edge] {
+        &self.edges
+    }
+}
