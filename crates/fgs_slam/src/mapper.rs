@@ -35,7 +35,7 @@ pub struct Mapper<M> {
     /// The keyframes that can be optimised, in the order they came.
     views: Vec<(ViewId, FrameIndex)>,
     steps: usize,
-    /// Sparse points that the mask refused since the last call of `take_sparse_changes`.
+    /// Sparse points that were refused since the last call of `take_sparse_changes`.
     refused: Vec<fgs_splat::SparseId>,
 }
 
@@ -79,8 +79,8 @@ impl<M: GaussianModel> Mapper<M> {
         };
         let rendered = self.model.render(&view)?;
         let missing = missing_region(&rendered, frame, &self.config.seeding);
-        let detail = self.segmenter.segment(&frame.color);
-        let new_points = self.admit(&keyframe.new_points, &missing);
+        let detail = self.segmenter.segment_frame(frame);
+        let new_points = self.admit(keyframe, &missing);
         let seeder = Seeder::new(
             frame,
             keyframe.world_from_camera,
@@ -89,7 +89,7 @@ impl<M: GaussianModel> Mapper<M> {
             seeding_surface(&self.config.tracking, &frame.camera),
         );
         self.model.insert(&seeder.seeds(&missing, &new_points))?;
-        let target = Target::new(frame.color.clone(), frame.depth_m.clone())?;
+        let target = Target::from_frame(frame)?;
         let id = self.model.add_view(view, target)?;
         let covisibility = self.model.covisibility(id)?;
         let mapping = &self.config.mapping;
@@ -159,16 +159,16 @@ impl<M: GaussianModel> Mapper<M> {
         self.model.into_gaussians()
     }
 
-    fn admit(&mut self, new_points: &[NewPoint], missing: &Image<bool>) -> Vec<NewPoint> {
-        match self.config.keyframes.new_points {
-            NewPoints::Distance => new_points.to_vec(),
-            NewPoints::Mask => {
-                let (admitted, refused): (Vec<NewPoint>, Vec<NewPoint>) =
-                    new_points.iter().partition(|p| missing.at(p.u, p.v));
-                self.refused.extend(refused.iter().map(|p| p.id));
-                admitted
-            }
-        }
+    /// The keyframe's sparse points that get a gaussian: those with a colour to give it and, if the
+    /// mask decides, in the missing region. The tracker hears of the others.
+    fn admit(&mut self, keyframe: &Keyframe, missing: &Image<bool>) -> Vec<NewPoint> {
+        let by_mask = self.config.keyframes.new_points == NewPoints::Mask;
+        let (admitted, refused): (Vec<NewPoint>, Vec<NewPoint>) = (keyframe.new_points.iter())
+            .partition(|p| {
+                keyframe.frame.has_color(p.u, p.v) && (!by_mask || missing.at(p.u, p.v))
+            });
+        self.refused.extend(refused.iter().map(|p| p.id));
+        admitted
     }
 
     /// Forgets the keyframe that came soonest after its predecessor, so that those kept stay spread
