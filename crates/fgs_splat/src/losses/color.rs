@@ -41,7 +41,7 @@ pub fn color_loss(
     settings: &LossSettings,
     d_color: &mut Image<[f32; 3]>,
 ) -> ColorLoss {
-    let (width, height) = (color.width(), color.height());
+    let width = color.width();
     let pixels = target.compared_colors(settings);
     if pixels == 0 {
         d_color.data_mut().fill([0.0; 3]);
