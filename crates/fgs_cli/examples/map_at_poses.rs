@@ -76,7 +76,13 @@ fn map_quality(
             rendered.surface_depth_m(u, v)
         });
         psnr_db.extend(
-            image_quality(&rendered.color, &frame.color, &frame.depth_m)?.psnr_valid_depth_db,
+            image_quality(
+                &rendered.color,
+                &frame.color,
+                &frame.depth_m,
+                frame.color_valid.as_deref(),
+            )?
+            .psnr_valid_depth_db,
         );
         depth_l1_m.extend(
             depth_error(&surface_m, &rendered.alpha, &frame.depth_m)?.map(|error| error.l1_m),

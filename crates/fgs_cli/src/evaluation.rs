@@ -105,7 +105,8 @@ fn score_frame(
     rasterizer: &mut Rasterizer,
 ) -> Result<FrameRow, EvalError> {
     let rendered = render(rasterizer, gaussians, &frame.camera, world_from_camera);
-    let quality = image_quality(&rendered.color, &frame.color, &frame.depth_m)?;
+    let color_valid = frame.color_valid.as_deref();
+    let quality = image_quality(&rendered.color, &frame.color, &frame.depth_m, color_valid)?;
     let depth_m = Image::from_fn(frame.depth_m.width(), frame.depth_m.height(), |u, v| {
         rendered.surface_depth_m(u, v)
     });

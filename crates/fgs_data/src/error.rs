@@ -198,9 +198,9 @@ pub enum DataError {
         /// The recording's length.
         len: usize,
     },
-    /// The decoder thread of this frame is gone.
-    #[error("frame {0}: its decoder thread ended")]
-    DecoderGone(usize),
+    /// Decoding a frame panicked, which is a bug.
+    #[error("frame {0}: the decoder panicked")]
+    DecoderPanicked(usize),
 }
 
 /// What is wrong with one line of a text file.

@@ -1,7 +1,9 @@
 //! One frame from its two files: the only place where stored depth becomes metres and where lens
 //! distortion is removed.
 
-use fgs_geom::{Camera, FrameIndex, RgbdFrame, UndistortionMap, depth_from_raw};
+use std::sync::Arc;
+
+use fgs_geom::{Camera, FrameIndex, Image, RgbdFrame, UndistortionMap, depth_from_raw};
 
 use crate::formats::FrameFiles;
 use crate::images::{read_color, read_depth};
@@ -12,6 +14,8 @@ pub(crate) struct FrameLoader {
     frames: Vec<FrameFiles>,
     camera: Camera,
     undistortion: Option<UndistortionMap>,
+    /// Shared by all frames; `None` if every pixel of an undistorted image has a source.
+    color_valid: Option<Arc<Image<bool>>>,
     depth_scale: f32,
     no_depth: u16,
 }
@@ -22,10 +26,14 @@ impl FrameLoader {
         let undistortion = camera_file
             .distortion()
             .map(|lens| UndistortionMap::new(&camera, lens));
+        let color_valid = undistortion.as_ref().map(UndistortionMap::color_valid);
         Self {
             frames,
             camera,
             undistortion,
+            color_valid: color_valid
+                .filter(|valid| valid.data().contains(&false))
+                .map(Arc::new),
             depth_scale: camera_file.depth_scale() as f32,
             no_depth,
         }
@@ -52,13 +60,17 @@ impl FrameLoader {
             color = map.color(&color).unwrap_or(color);
             depth_m = map.depth(&depth_m).unwrap_or(depth_m);
         }
-        RgbdFrame::new(
+        let frame = RgbdFrame::new(
             FrameIndex(index),
             files.timestamp_secs,
             color,
             depth_m,
             self.camera,
-        )
+        );
+        match &self.color_valid {
+            Some(valid) => frame.and_then(|frame| frame.with_color_valid(valid.clone())),
+            None => frame,
+        }
         .map_err(|source| DataError::Frame { index, source })
     }
 }

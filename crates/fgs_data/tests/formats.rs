@@ -6,6 +6,7 @@ mod common;
 
 use std::fs;
 use std::path::Path;
+use std::sync::Arc;
 
 use common::*;
 use fgs_data::{CameraFile, DataError, Dataset, Format, OpenOptions};
@@ -223,6 +224,30 @@ fn lens_distortion_is_removed() {
     let map = UndistortionMap::new(file.camera(), file.distortion().unwrap());
     assert_ne!(frame.color, raw.color);
     assert_ne!(frame.depth_m, raw.depth_m);
+    let valid = map.color_valid();
+    assert!(valid.data().contains(&true) && valid.data().contains(&false));
+    assert_eq!(frame.color_valid.as_deref(), Some(&valid));
+    assert_eq!(raw.color_valid, None);
     assert_eq!(Some(frame.color), map.color(&raw.color));
     assert_eq!(Some(frame.depth_m), map.depth(&raw.depth_m));
+}
+
+#[test]
+fn the_frames_of_a_recording_share_one_mask() {
+    let folder = tum(3);
+    let with_lens = |lens: &str| {
+        let text = format!("{CAMERA}distortion = {lens}\n");
+        fs::write(folder.path().join("camera.toml"), text).unwrap();
+        let dataset = open(folder.path()).unwrap();
+        let frames: Vec<_> = dataset.frames(0..3).map(Result::unwrap).collect();
+        frames
+    };
+    let frames = with_lens("[0.3, -0.2, 0.01, -0.02, 0.1]");
+    let first = frames[0].color_valid.as_ref().unwrap();
+    for frame in &frames {
+        assert!(Arc::ptr_eq(frame.color_valid.as_ref().unwrap(), first));
+    }
+    // A lens that only draws the image together shows every pixel.
+    let frames = with_lens("[-0.3, 0.0, 0.0, 0.0, 0.0]");
+    assert!(frames.iter().all(|frame| frame.color_valid.is_none()));
 }

@@ -3,7 +3,7 @@
 use fgs_geom::{Image, has_depth};
 
 use crate::EvalError;
-use crate::image_quality::check_size;
+use crate::pixels::check_size;
 
 /// Below this accumulated alpha a pixel shows more background than map, and its depth says little.
 const MIN_ALPHA: f32 = 0.5;

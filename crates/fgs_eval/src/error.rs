@@ -52,6 +52,12 @@ pub enum EvalError {
         /// Columns and rows needed.
         minimum: usize,
     },
+    /// The camera saw the colour of too few pixels: not even one window is complete.
+    #[error("no window of {side}x{side} pixels lies wholly in the seen part of the image")]
+    NoCompleteWindow {
+        /// Pixels along the window's side.
+        side: usize,
+    },
     /// A rendered value is NaN.
     #[error("pixel ({u}, {v}) of the rendered image is not a number")]
     NotANumber {

@@ -1,13 +1,15 @@
-//! How good a trajectory and a map's pictures are (Sec. IV).
+//! Accuracy of a trajectory and quality of a map's renders (Sec. IV).
 //!
-//! In: poses, images and depth in the types of `fgs_geom`. Out: plain numbers with their units in
-//! their names, never NaN. Trajectory errors agree with `evo`, image errors with scikit-image.
+//! In: poses, images and depth in the types of `fgs_geom`. Out: plain numbers, never NaN, units in
+//! their names. Trajectory errors agree with `evo`, image metrics with scikit-image. A pixel whose
+//! colour the camera did not see counts as outside the image.
 
 mod alignment;
 mod association;
 mod depth;
 mod error;
 mod image_quality;
+mod pixels;
 mod ssim;
 mod statistics;
 mod trajectory;

@@ -5,12 +5,13 @@
 //! divided by the sum of weights. Averaged over the three channels and over the windows that lie
 //! wholly inside the image: no padding. scikit-image (`gaussian_weights=True, sigma=1.5,
 //! use_sample_covariance=False`) and torchmetrics agree, as they crop what their padding touched.
+//! Pixels whose colour the camera did not see are outside the image: no window contains one.
 
 use fgs_geom::Image;
 use rayon::prelude::*;
 
 use crate::EvalError;
-use crate::image_quality::{check_size, unit_from_byte, unit_from_float};
+use crate::pixels::{check_size, unit_from_byte, unit_from_float};
 
 /// Pixels along a window's side.
 const WINDOW: usize = 11;
@@ -21,12 +22,20 @@ const C1: f64 = 0.01 * 0.01;
 const C2: f64 = 0.03 * 0.03;
 
 /// Mean structural similarity of a render (RGB, clamped to 0..=1) and the camera's image, in
-/// -1..=1.
+/// -1..=1, over the windows in which `color_valid` is true everywhere (`None`: all windows).
 ///
 /// # Errors
-/// For images of unequal size or smaller than 11x11, and if a rendered value is NaN.
-pub fn ssim(render: &Image<[f32; 3]>, target: &Image<[u8; 3]>) -> Result<f64, EvalError> {
+/// For images of unequal size or smaller than 11x11, if no window is complete, and if a rendered
+/// value is NaN.
+pub fn ssim(
+    render: &Image<[f32; 3]>,
+    target: &Image<[u8; 3]>,
+    color_valid: Option<&Image<bool>>,
+) -> Result<f64, EvalError> {
     check_size(render, target)?;
+    if let Some(valid) = color_valid {
+        check_size(valid, target)?;
+    }
     let (width, height) = (render.width(), render.height());
     if width < WINDOW || height < WINDOW {
         return Err(EvalError::TooSmall {
@@ -49,20 +58,42 @@ pub fn ssim(render: &Image<[f32; 3]>, target: &Image<[u8; 3]>) -> Result<f64, Ev
         .map(|&value| unit_from_byte(value))
         .collect();
     let weights = window_weights();
-    let row_sums: Vec<f64> = (0..=height - WINDOW)
+    let rows: Vec<(f64, usize)> = (0..=height - WINDOW)
         .into_par_iter()
         .map_init(
             || RowMoments::new(3 * width),
             |moments, top| {
+                let complete = complete_windows(width, color_valid, top);
                 moments.filter_columns(&x, &y, top, &weights);
-                (0..3 * (width - WINDOW + 1))
+                let sum = (0..3 * complete.len())
+                    .filter(|left| complete[left / 3])
                     .map(|left| similarity(moments.filter_row(left, &weights)))
-                    .sum()
+                    .sum();
+                (
+                    sum,
+                    3 * complete.iter().filter(|complete| **complete).count(),
+                )
             },
         )
         .collect();
-    let windows = 3 * row_sums.len() * (width - WINDOW + 1);
-    Ok(row_sums.iter().sum::<f64>() / windows as f64)
+    let windows: usize = rows.iter().map(|(_, windows)| windows).sum();
+    if windows == 0 {
+        return Err(EvalError::NoCompleteWindow { side: WINDOW });
+    }
+    Ok(rows.iter().map(|(sum, _)| sum).sum::<f64>() / windows as f64)
+}
+
+/// Which windows of a row of windows contain valid pixels only, by their first column.
+fn complete_windows(width: usize, valid: Option<&Image<bool>>, top: usize) -> Vec<bool> {
+    let Some(valid) = valid else {
+        return vec![true; width - WINDOW + 1];
+    };
+    let columns: Vec<bool> = (0..width)
+        .map(|u| (top..top + WINDOW).all(|v| valid.at(u, v)))
+        .collect();
+    (columns.windows(WINDOW))
+        .map(|window| window.iter().all(|column| *column))
+        .collect()
 }
 
 /// The weights along one axis; a window's weight is the product of two.

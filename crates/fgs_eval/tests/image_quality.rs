@@ -61,7 +61,7 @@ fn equals_scikit_image() {
     ];
     for ((width, height), all, valid_depth, paper, ssim) in expected {
         let (render, target, depth_m) = images(width, height);
-        let quality = image_quality(&render, &target, &depth_m).unwrap();
+        let quality = image_quality(&render, &target, &depth_m, None).unwrap();
         for (actual, expected) in [
             (quality.psnr_db, all),
             (quality.psnr_valid_depth_db.unwrap(), valid_depth),
@@ -77,7 +77,7 @@ fn equals_scikit_image() {
 #[test]
 fn identical_images_reach_the_cap() {
     let (_, target, depth_m) = images(30, 20);
-    let quality = image_quality(&perfect(&target), &target, &depth_m).unwrap();
+    let quality = image_quality(&perfect(&target), &target, &depth_m, None).unwrap();
     assert_eq!(quality.psnr_db, MAX_PSNR_DB);
     assert_eq!(quality.psnr_valid_depth_db, Some(MAX_PSNR_DB));
     assert_eq!(quality.psnr_paper_db, MAX_PSNR_DB);
@@ -88,7 +88,7 @@ fn identical_images_reach_the_cap() {
 fn without_depth_only_the_papers_psnr_flatters() {
     let (render, target, _) = images(30, 20);
     let none = Image::filled(30, 20, f32::NAN);
-    let quality = image_quality(&render, &target, &none).unwrap();
+    let quality = image_quality(&render, &target, &none, None).unwrap();
     assert_eq!(quality.psnr_valid_depth_db, None);
     assert_eq!(quality.psnr_paper_db, MAX_PSNR_DB);
     assert!(quality.psnr_db < 25.0);
@@ -99,10 +99,10 @@ fn flat_images() {
     let black = Image::filled(16, 12, [0_u8; 3]);
     let white = Image::filled(16, 12, [f32::INFINITY; 3]);
     let depth_m = Image::filled(16, 12, 1.0);
-    let quality = image_quality(&white, &black, &depth_m).unwrap();
+    let quality = image_quality(&white, &black, &depth_m, None).unwrap();
     assert_eq!(quality.psnr_db, 0.0);
     assert!(quality.ssim > 0.0 && quality.ssim <= 1e-4);
-    let same = ssim(&Image::filled(16, 12, [0.0; 3]), &black).unwrap();
+    let same = ssim(&Image::filled(16, 12, [0.0; 3]), &black, None).unwrap();
     assert_eq!(same, 1.0);
 }
 
@@ -114,16 +114,16 @@ fn unusable_images_are_named() {
         a: (15, 20),
         b: (20, 15),
     };
-    assert_eq!(ssim(&other, &target), Err(unequal));
-    assert!(image_quality(&render, &target, &other_depth_m).is_err());
+    assert_eq!(ssim(&other, &target, None), Err(unequal));
+    assert!(image_quality(&render, &target, &other_depth_m, None).is_err());
     let (small, small_target, _) = images(20, 10);
     assert!(matches!(
-        ssim(&small, &small_target),
+        ssim(&small, &small_target, None),
         Err(EvalError::TooSmall { minimum: 11, .. })
     ));
     render.set(7, 3, [0.5, f32::NAN, 0.5]);
     let nan = Err(EvalError::NotANumber { u: 7, v: 3 });
-    assert_eq!(image_quality(&render, &target, &depth_m), nan);
+    assert_eq!(image_quality(&render, &target, &depth_m, None), nan);
 }
 
 #[test]
@@ -145,9 +145,109 @@ fn the_same_bits_for_any_number_of_threads() {
     let with_threads = |threads| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads);
         let pool = pool.build().unwrap();
-        pool.install(|| image_quality(&render, &target, &depth_m).unwrap())
+        pool.install(|| image_quality(&render, &target, &depth_m, None).unwrap())
     };
     let (one, many) = (with_threads(1), with_threads(16));
     assert_eq!(one.ssim.to_bits(), many.ssim.to_bits());
     assert_eq!(one, many);
+}
+
+/// An oval view with an unseen spot in it.
+fn oval(width: usize, height: usize) -> Image<bool> {
+    let centered = |x: usize, size: usize| 2.0 * x as f64 / size as f64 - 1.0;
+    Image::from_fn(width, height, |u, v| {
+        centered(u, width).powi(2) + centered(v, height).powi(2) < 1.1 && (u, v) != (14, 21)
+    })
+}
+
+/// SSIM of one channel of the window around (u, v), straight from its definition.
+fn reference_ssim(x: &Image<f64>, y: &Image<f64>, u: usize, v: usize) -> f64 {
+    let offsets = || (0..11).flat_map(|dv| (0..11).map(move |du| (du, dv)));
+    let weight = |du: usize, dv: usize| {
+        let r2 = (du as f64 - 5.0).powi(2) + (dv as f64 - 5.0).powi(2);
+        (-r2 / (2.0 * 1.5 * 1.5)).exp()
+    };
+    let total: f64 = offsets().map(|(du, dv)| weight(du, dv)).sum();
+    let mean = |value: &dyn Fn(f64, f64) -> f64| {
+        let terms = offsets().map(|(du, dv)| {
+            let (u, v) = (u + du - 5, v + dv - 5);
+            weight(du, dv) * value(x.at(u, v), y.at(u, v))
+        });
+        terms.sum::<f64>() / total
+    };
+    let (mx, my) = (mean(&|x, _| x), mean(&|_, y| y));
+    let var_x = mean(&|x, _| (x - mx).powi(2));
+    let var_y = mean(&|_, y| (y - my).powi(2));
+    let covariance = mean(&|x, y| (x - mx) * (y - my));
+    (2.0 * mx * my + 1e-4) * (2.0 * covariance + 9e-4)
+        / ((mx * mx + my * my + 1e-4) * (var_x + var_y + 9e-4))
+}
+
+#[test]
+fn unseen_pixels_are_outside_the_image() {
+    let (width, height) = (48, 37);
+    let (mut render, mut target, depth_m) = images(width, height);
+    let seen = oval(width, height);
+    let quality = image_quality(&render, &target, &depth_m, Some(&seen)).unwrap();
+
+    let channel = |c: usize| {
+        let x = render.map(|rgb| f64::from(rgb[c]).clamp(0.0, 1.0));
+        (x, target.map(|rgb| f64::from(rgb[c]) / 255.0))
+    };
+    let (mut all, mut with_depth, mut pixels, mut pixels_with_depth) = (0.0, 0.0, 0.0, 0.0);
+    let (mut ssim, mut windows) = (0.0, 0.0);
+    for (x, y) in [0, 1, 2].map(channel) {
+        for v in 0..height {
+            for u in (0..width).filter(|u| seen.at(*u, v)) {
+                let error = (x.at(u, v) - y.at(u, v)).powi(2);
+                (all, pixels) = (all + error, pixels + 1.0);
+                if depth_m.at(u, v) > 0.0 {
+                    (with_depth, pixels_with_depth) = (with_depth + error, pixels_with_depth + 1.0);
+                }
+                let is_seen = |du: usize, dv: usize| {
+                    let (u, v) = ((u + du).wrapping_sub(5), (v + dv).wrapping_sub(5));
+                    seen.get(u, v) == Some(true)
+                };
+                if (0..11).all(|dv| (0..11).all(|du| is_seen(du, dv))) {
+                    ssim += reference_ssim(&x, &y, u, v);
+                    windows += 1.0;
+                }
+            }
+        }
+    }
+    assert!(windows > 100.0 && windows < 3.0 * 38.0 * 27.0 - 100.0);
+    let psnr = |sum: f64, count: f64| -10.0 * (sum / count).log10();
+    for (actual, expected) in [
+        (quality.psnr_db, psnr(all, pixels)),
+        (
+            quality.psnr_valid_depth_db.unwrap(),
+            psnr(with_depth, pixels_with_depth),
+        ),
+        (quality.psnr_paper_db, psnr(with_depth, pixels)),
+        (quality.ssim, ssim / windows),
+    ] {
+        assert!((actual - expected).abs() <= 1e-9, "{actual} for {expected}");
+    }
+
+    // What they hold does not matter.
+    for (i, seen) in seen.data().iter().enumerate() {
+        if !seen {
+            (render.data_mut()[i], target.data_mut()[i]) = ([1.0; 3], [0; 3]);
+        }
+    }
+    let changed = image_quality(&render, &target, &depth_m, Some(&seen));
+    assert_eq!(changed, Ok(quality));
+}
+
+#[test]
+fn masks_that_exclude_nothing_or_too_much() {
+    let (render, target, depth_m) = images(30, 20);
+    let plain = image_quality(&render, &target, &depth_m, None);
+    let all = Image::filled(30, 20, true);
+    assert_eq!(image_quality(&render, &target, &depth_m, Some(&all)), plain);
+    let sparse = Image::from_fn(30, 20, |u, v| u % 11 > 0 && v > 0);
+    let refused = image_quality(&render, &target, &depth_m, Some(&sparse));
+    assert_eq!(refused, Err(EvalError::NoCompleteWindow { side: 11 }));
+    let turned = Image::filled(20, 30, true);
+    assert!(image_quality(&render, &target, &depth_m, Some(&turned)).is_err());
 }

@@ -56,7 +56,7 @@ impl UndistortionMap {
         Self { source }
     }
 
-    /// The ideal colour image, bilinear; black where the distorted image shows nothing.
+    /// The undistorted colour image, bilinear; black where [`Self::color_valid`] is false.
     /// `None` if the image has another size than the camera.
     pub fn color(&self, distorted: &Image<[u8; 3]>) -> Option<Image<[u8; 3]>> {
         let (right, bottom) = (
@@ -65,9 +65,7 @@ impl UndistortionMap {
         );
         self.fits(distorted).then(|| {
             self.source.map(|&[x, y]| {
-                let is_inside =
-                    (0.0..=right as f32).contains(&x) && (0.0..=bottom as f32).contains(&y);
-                if !is_inside {
+                if !self.has_color(x, y) {
                     return [0; 3];
                 }
                 let (u, v) = (x as usize, y as usize);
@@ -86,8 +84,20 @@ impl UndistortionMap {
         })
     }
 
-    /// The ideal depth image, each pixel the nearest of the distorted one (mixing neighbours would
-    /// invent surfaces across edges); 0 where it shows nothing.
+    /// Which pixels of [`Self::color`] the camera saw: those whose source lies between the centres
+    /// of the distorted image's outermost pixels, so that all four neighbours exist.
+    pub fn color_valid(&self) -> Image<bool> {
+        self.source.map(|&[x, y]| self.has_color(x, y))
+    }
+
+    fn has_color(&self, x: f32, y: f32) -> bool {
+        // Without a pixel the range is empty.
+        let inside = |x: f32, size: usize| x >= 0.0 && x <= size as f32 - 1.0;
+        inside(x, self.source.width()) && inside(y, self.source.height())
+    }
+
+    /// The undistorted depth image, each pixel the nearest of the distorted one (interpolation
+    /// would invent surfaces across edges); 0 where it shows nothing.
     /// `None` if the image has another size than the camera.
     pub fn depth(&self, distorted: &Image<f32>) -> Option<Image<f32>> {
         self.fits(distorted).then(|| {
@@ -169,6 +179,30 @@ mod tests {
             }
         }
         assert!(worst_before >= 10, "the lens bends: {worst_before}");
+    }
+
+    #[test]
+    fn what_lies_outside_the_distorted_image_is_not_valid() {
+        let (camera, distortion) = fr1();
+        let map = UndistortionMap::new(&camera, &distortion);
+        let valid = map.color_valid();
+        let white = map.color(&Image::filled(640, 480, [255; 3])).unwrap();
+        let mut invalid = 0;
+        for v in 0..480 {
+            for u in 0..640 {
+                let bent = distortion.distort(&camera.ray(u as f64, v as f64).xy());
+                let x = camera.intrinsics.fx * bent.x + camera.intrinsics.cx;
+                let y = camera.intrinsics.fy * bent.y + camera.intrinsics.cy;
+                let inside = (0.0..=639.0).contains(&x) && (0.0..=479.0).contains(&y);
+                // Single precision decides at the very border.
+                let border = [x, x - 639.0, y, y - 479.0].iter().any(|d| d.abs() <= 1e-3);
+                assert!(valid.at(u, v) == inside || border, "({u}, {v})");
+                let shade = if valid.at(u, v) { 255 } else { 0 };
+                assert_eq!(white.at(u, v), [shade; 3], "({u}, {v})");
+                invalid += usize::from(!valid.at(u, v));
+            }
+        }
+        assert!((5_000..30_000).contains(&invalid), "{invalid}");
     }
 
     #[test]

@@ -89,27 +89,40 @@ impl RgbdFrame {
         depth_m: Image<f32>,
         camera: Camera,
     ) -> Result<Self, FrameError> {
-        check_size("colour", &color, &camera)?;
-        check_size("depth", &depth_m, &camera)?;
-        if !timestamp_secs.is_finite() {
-            return Err(FrameError::Timestamp(timestamp_secs));
-        }
-        let is_negative = |depth_m: &f32| depth_m.is_finite() && *depth_m < 0.0;
-        if let Some(i) = depth_m.data().iter().position(is_negative) {
-            return Err(FrameError::NegativeDepth {
-                u: i % camera.width,
-                v: i / camera.width,
-                depth_m: depth_m.data()[i],
-            });
-        }
-        Ok(Self {
+        let frame = Self {
             index,
             timestamp_secs,
             color,
             depth_m,
             camera,
             color_valid: None,
-        })
+        };
+        frame.check()?;
+        Ok(frame)
+    }
+
+    /// Looks again at what [`new`](Self::new) requires, for frames that were changed since.
+    ///
+    /// # Errors
+    /// As for `new`, and if the validity mask's size differs from the camera's.
+    pub fn check(&self) -> Result<(), FrameError> {
+        check_size("colour", &self.color, &self.camera)?;
+        check_size("depth", &self.depth_m, &self.camera)?;
+        if let Some(valid) = &self.color_valid {
+            check_size("colour validity", valid, &self.camera)?;
+        }
+        if !self.timestamp_secs.is_finite() {
+            return Err(FrameError::Timestamp(self.timestamp_secs));
+        }
+        let is_negative = |depth_m: &f32| depth_m.is_finite() && *depth_m < 0.0;
+        if let Some(i) = self.depth_m.data().iter().position(is_negative) {
+            return Err(FrameError::NegativeDepth {
+                u: i % self.camera.width,
+                v: i / self.camera.width,
+                depth_m: self.depth_m.data()[i],
+            });
+        }
+        Ok(())
     }
 
     /// The same frame with a mask of the colour pixels that the camera saw.

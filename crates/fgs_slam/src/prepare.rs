@@ -53,7 +53,7 @@ impl KeyframePreparer {
         missing: &Image<bool>,
     ) -> Result<PreparedKeyframe, LossError> {
         let frame = &keyframe.frame;
-        let detail = self.segmenter.segment(&frame.color);
+        let detail = self.segmenter.segment_frame(frame);
         let seeder = Seeder::new(
             frame,
             keyframe.world_from_camera,
@@ -62,7 +62,7 @@ impl KeyframePreparer {
             self.surface,
         );
         let seeds = seeder.seeds(missing, &keyframe.new_points);
-        let target = Target::new(frame.color.clone(), frame.depth_m.clone())?;
+        let target = Target::from_frame(frame)?;
         Ok(PreparedKeyframe {
             keyframe,
             seeds,

@@ -51,7 +51,8 @@ impl<'a> Seeder<'a> {
     }
 
     /// Seeds on the pixels of the two grids that lie in `missing`, Eq. (10), and on those that join
-    /// the sparse map. A pixel that is both gets one gaussian that serves both maps.
+    /// the sparse map. A pixel that is both gets one gaussian that serves both maps; one whose colour
+    /// the camera did not see gets none.
     pub fn seeds(&self, missing: &Image<bool>, new_points: &[NewPoint]) -> Seeds {
         let (width, height) = (missing.width(), missing.height());
         let mut sparse: Image<Option<SparseId>> = Image::filled(width, height, None);
@@ -63,7 +64,10 @@ impl<'a> Seeder<'a> {
             for u in 0..width {
                 let sparse_id = sparse.at(u, v);
                 let dense = missing.at(u, v) && self.is_on_grid(u, v);
-                if (dense || sparse_id.is_some()) && has_depth(self.frame.depth_m.at(u, v)) {
+                if (dense || sparse_id.is_some())
+                    && has_depth(self.frame.depth_m.at(u, v))
+                    && self.frame.has_color(u, v)
+                {
                     self.plant(u, v, &mut seeds.gaussians);
                     seeds.sparse_ids.push(sparse_id);
                 }
@@ -282,5 +286,26 @@ mod tests {
                 .flatten()
                 .all(|x| x.is_finite())
         );
+    }
+
+    #[test]
+    fn pixels_whose_color_was_not_seen_are_left_out() {
+        let seen = Image::from_fn(W, H, |u, _| u >= 10);
+        let frame = wall(Vector3::new(0.0, 0.0, -1.0));
+        let frame = frame.with_color_valid(std::sync::Arc::new(seen)).unwrap();
+        let detail = Image::filled(W, H, true);
+        let missing = Image::filled(W, H, true);
+        let config = SeedingConfig::default();
+        let seeder = Seeder::new(&frame, pose(), &detail, &config, surface(&frame));
+        let points = [(2, 7), (10, 8)].map(|(u, id)| NewPoint {
+            u,
+            v: 4,
+            id: SparseId(id),
+        });
+        let seeds = seeder.seeds(&missing, &points);
+        // Column 10 is off the grid of odd columns.
+        assert_eq!(seeds.gaussians.len(), (W - 10) / 2 * H / 2 + 1);
+        let ids: Vec<_> = seeds.sparse_ids.iter().flatten().map(|id| id.0).collect();
+        assert_eq!(ids, [8]);
     }
 }

@@ -4,7 +4,7 @@
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use fgs_geom::{Camera, FrameIndex, KeyframeId, RgbdFrame, Se3};
+use fgs_geom::{Camera, FrameError, FrameIndex, KeyframeId, RgbdFrame, Se3};
 use fgs_graph::KeyframeGraph;
 use fgs_splat::{GaussianModel, Gaussians, SettingError};
 use rayon::ThreadPool;
@@ -107,6 +107,9 @@ pub enum SlamError {
         /// The session's.
         session: Box<Camera>,
     },
+    /// The frame's images or values were changed into something impossible.
+    #[error(transparent)]
+    Frame(#[from] FrameError),
     /// There is no keyframe of this name.
     #[error("there is no keyframe {0:?}")]
     NoSuchKeyframe(KeyframeId),
@@ -160,7 +163,7 @@ impl Slam {
     /// Tracks a frame and lets the mapper have its turn.
     ///
     /// # Errors
-    /// If the frame is not of the session's camera (it is then recorded as damaged) or the mapper has
+    /// If the frame is damaged or of another camera (it is recorded as such), or the mapper has
     /// stopped.
     pub fn push(&mut self, frame: RgbdFrame) -> Result<FrameResult, SlamError> {
         if let Err(error) = self.check(&frame) {
@@ -299,14 +302,14 @@ impl Slam {
     }
 
     fn check(&self, frame: &RgbdFrame) -> Result<(), SlamError> {
-        if frame.camera == self.camera {
-            return Ok(());
+        if frame.camera != self.camera {
+            return Err(SlamError::OtherCamera {
+                index: frame.index,
+                frame: Box::new(frame.camera),
+                session: Box::new(self.camera),
+            });
         }
-        Err(SlamError::OtherCamera {
-            index: frame.index,
-            frame: Box::new(frame.camera),
-            session: Box::new(self.camera),
-        })
+        Ok(frame.check()?)
     }
 
     fn add_keyframe(&mut self, keyframe: &Keyframe) {

@@ -196,7 +196,13 @@ impl Tracker {
         let new_points = match kind {
             KeyframeKind::Mapping => Vec::new(),
             KeyframeKind::Tracking => {
-                let to_world = |point| self.disk(point).transformed(&world_from_camera);
+                // A sparse point is a gaussian too, and needs a colour.
+                let points: Vec<&SurfacePoint> = points
+                    .iter()
+                    .filter(|point| frame.has_color(point.u, point.v))
+                    .collect();
+                let to_world =
+                    |point: &&SurfacePoint| self.disk(point).transformed(&world_from_camera);
                 let in_world: Vec<Point> = points.par_iter().map(to_world).collect();
                 let spacing_m = self.keyframes.new_point_distance_m;
                 let joined = self.map.extend(id, &in_world, spacing_m);

@@ -179,12 +179,15 @@ fn what_does_not_belong_to_the_session_is_refused() {
         slam.push(other),
         Err(SlamError::OtherCamera { .. })
     ));
+    let mut oversized = sequence.frame(1);
+    oversized.depth_m = fgs_geom::Image::filled(320, 240, 1.0);
+    assert!(matches!(slam.push(oversized), Err(SlamError::Frame(_))));
     let unknown = slam.move_keyframes(&[(KeyframeId(9), Se3::identity())]);
     assert!(matches!(
         unknown,
         Err(SlamError::NoSuchKeyframe(KeyframeId(9)))
     ));
-    assert_eq!(statuses(&slam.finish()), "TM");
+    assert_eq!(statuses(&slam.finish()), "TMM");
 }
 
 #[test]

@@ -67,13 +67,13 @@ impl HighPass {
     }
 
     /// The filtered image without its border, row by row.
-    pub fn apply(&mut self, image: &Image<u8>) -> &[f32] {
+    pub fn apply(&mut self, image: &Image<u8>) -> &mut [f32] {
         debug_assert_eq!((image.width(), image.height()), (self.width, self.height));
         pulp::Arch::new().dispatch(Convolution {
             filter: self,
             image,
         });
-        &self.filtered
+        &mut self.filtered
     }
 }
 

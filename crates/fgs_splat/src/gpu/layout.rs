@@ -10,9 +10,7 @@ use super::rates::{COPIED_ROWS, MULTIPLY_ADD_ROUNDS};
 use crate::adam::{BETA_1, BETA_2, DECAY_STEPS, EPSILON};
 use crate::cpu::{SLACK_PX, WHITEN_SCALE};
 use crate::gaussians::SH0_FACTOR;
-use crate::losses::{
-    C1, C2, FLAT_SCALE_M, MAX_LOG_SCALE, MAX_RENDERED, MIN_ALPHA, RADIUS, TAPS, window,
-};
+use crate::losses::{C1, C2, FLAT_SCALE_M, MAX_LOG_SCALE, MAX_RENDERED, MIN_ALPHA, RADIUS};
 use crate::rendering::{
     ALPHA_MAX, ALPHA_MIN, LOW_PASS_PX2, MAX_MAGNITUDE, MAX_VARIANCE_PX2, MIN_QUAT_NORM2, NEAR_M,
     PLANE_MIN_COS, TRANSMITTANCE_MIN,
@@ -316,7 +314,6 @@ pub fn preamble() -> String {
         ("TILE_PIXELS", TILE * TILE),
         ("SIDE", LOSS_SIDE),
         ("RADIUS", RADIUS as u32),
-        ("TAPS", TAPS as u32),
         ("NONE", NONE),
         ("MAX_STEPS", u32::MAX - 1),
         ("COPIED_ROWS", COPIED_ROWS),
@@ -332,15 +329,6 @@ pub fn preamble() -> String {
         let first = DISPATCH_WORDS * *place as u32;
         let _ = writeln!(source, "const {name}: u32 = {first}u;");
     }
-    let half = window();
-    let weights: Vec<String> = (0..TAPS)
-        .map(|tap| format!("{:?}", half[tap.min(TAPS - 1 - tap)]))
-        .collect();
-    let _ = writeln!(
-        source,
-        "const WINDOW = array<f32, {TAPS}>({});",
-        weights.join(", ")
-    );
     write_structs(&mut source);
     source
 }

@@ -23,6 +23,7 @@ mod recorder;
 mod scan_check;
 mod stage;
 mod steps;
+mod taps;
 mod targets;
 #[cfg(test)]
 pub mod tests;

@@ -52,14 +52,10 @@ pub fn view_uniform(view: &CameraView, count: usize, capacity: usize) -> layout:
 /// The loss's weights for a target; zero where a mean would be over nothing.
 pub fn loss_uniform(settings: &LossSettings, target: &Target) -> layout::Loss {
     let (width, height) = (target.color().width(), target.color().height());
+    let colors = 3 * target.compared_colors(settings);
     let mean = |weight: f32, count: usize| match count {
         0 => 0.0,
         count => weight / count as f32,
-    };
-    let colors = 3 * if settings.mask_color_by_depth {
-        target.measured()
-    } else {
-        width * height
     };
     layout::Loss {
         l1: mean(settings.l1_weight, colors),

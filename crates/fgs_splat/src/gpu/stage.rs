@@ -8,6 +8,7 @@ use wgpu::naga;
 
 use super::error::GpuError;
 use super::layout::preamble;
+use super::taps::unroll_taps;
 
 /// A file of entry points, and the files of functions that it needs, in the order of their use.
 pub struct ShaderFile {
@@ -159,10 +160,10 @@ impl ShaderFile {
     pub fn source(&self, by_subgroups: bool) -> String {
         let mut source = preamble();
         for part in self.parts {
-            source.push_str(match *part {
+            source.push_str(&unroll_taps(match *part {
                 WORKGROUP_SCAN if by_subgroups => WORKGROUP_SCAN_BY_SUBGROUPS,
                 part => part,
-            });
+            }));
         }
         source
     }

@@ -3,7 +3,7 @@
 
 use std::collections::BTreeMap;
 
-use fgs_geom::KeyframeId;
+use fgs_geom::{Image, KeyframeId};
 
 use super::device::GpuDevice;
 use super::error::GpuError;
@@ -27,8 +27,8 @@ impl ResidentTargets {
         }
     }
 
-    /// A view's target on the device: eight bits of each colour in a word, then the bits of the
-    /// depth in metres, pixel by pixel.
+    /// A view's target on the device, pixel by pixel: a word with eight bits of each colour and 1
+    /// or 0 in the fourth byte, whether they are valid; then the bits of the depth in metres.
     ///
     /// # Errors
     /// If the device's memory does not suffice.
@@ -54,9 +54,15 @@ impl ResidentTargets {
             self.buffers.remove(&oldest);
         }
         let colors = target.color().data().iter();
+        let valid = target.color_valid().map(Image::data);
         let pixels: Vec<[u32; 2]> = colors
             .zip(target.depth_m().data())
-            .map(|([r, g, b], depth_m)| [u32::from_le_bytes([*r, *g, *b, 0]), depth_m.to_bits()])
+            .enumerate()
+            .map(|(i, ([r, g, b], depth_m))| {
+                let valid = valid.is_none_or(|valid| valid[i]);
+                let color = u32::from_le_bytes([*r, *g, *b, valid.into()]);
+                [color, depth_m.to_bits()]
+            })
             .collect();
         let bytes: &[u8] = bytemuck::cast_slice(&pixels);
         let usage = wgpu::BufferUsages::STORAGE;

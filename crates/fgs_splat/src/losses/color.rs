@@ -5,8 +5,10 @@
 //! independently, each with the 10 rows above and below that its derivatives depend on, so that
 //! what lies between input and output stays in the cache and results do not depend on threads.
 //!
-//! Where a pixel is not valid the target stands in for the render: the windows of SSIM around it
-//! see an image that is right there, and it neither counts nor receives a derivative.
+//! Where a pixel is not compared the target stands in for the render: the windows of SSIM around it
+//! see an image that is right there, and it neither counts nor receives a derivative. Where the
+//! camera did not see a colour the target is black, so that both images are what they are outside
+//! the image: zero.
 
 use super::blur::{CHANNELS, RADIUS, TAPS};
 use super::{LossSettings, Target, l1, ssim::Ssim};
@@ -39,12 +41,8 @@ pub fn color_loss(
     settings: &LossSettings,
     d_color: &mut Image<[f32; 3]>,
 ) -> ColorLoss {
-    let (width, height) = (color.width(), color.height());
-    let pixels = if settings.mask_color_by_depth {
-        target.measured
-    } else {
-        width * height
-    };
+    let width = color.width();
+    let pixels = target.compared_colors(settings);
     if pixels == 0 {
         d_color.data_mut().fill([0.0; 3]);
         return ColorLoss::default();
@@ -151,13 +149,18 @@ impl Strip {
                 valid.fill(0.0);
                 continue;
             }
+            let pixels = valid.as_chunks_mut::<CHANNELS>().0;
             if masked {
-                let pixels = valid.as_chunks_mut::<CHANNELS>().0;
                 for (pixel, depth) in pixels.iter_mut().zip(target.depth_m.row(v)) {
                     *pixel = [f32::from(u8::from(has_depth(*depth))); CHANNELS];
                 }
             } else {
-                valid.fill(1.0);
+                pixels.fill([1.0; CHANNELS]);
+            }
+            if let Some(seen) = &target.color_valid {
+                for (pixel, seen) in pixels.iter_mut().zip(seen.row(v)) {
+                    *pixel = pixel.map(|valid| if *seen { valid } else { 0.0 });
+                }
             }
             let rendered = &color.row(v).as_flattened()[..n];
             let measured = &target.color.row(v).as_flattened()[..n];

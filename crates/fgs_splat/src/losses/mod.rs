@@ -1,9 +1,10 @@
-//! What a rendered view is compared with, and by how much it is wrong.
+//! The loss of a rendered view against the measured images.
 //!
 //! Input: rendered colour, depth and alpha, and the measured images. Output: the loss of Eq. (16)
 //! and its derivative by every rendered value; [`scale_regularizer`] adds Eq. (15).
-//! One validity mask serves every term: depth counts where it was measured, and colour either
-//! there or everywhere. Each mean is over the valid pixels.
+//! Depth is compared where it was measured; colour where the camera saw it and, if asked for, only
+//! where depth was measured too. Each mean is over the pixels compared. A pixel whose colour the
+//! camera did not see lies outside the image, for the windows of SSIM as well.
 //!
 //! Differs from the paper: its code drops every value whose target is zero (black colour channels
 //! too) and divides by all pixels.
@@ -24,9 +25,10 @@ pub(crate) use regularizer::{FLAT_SCALE_M, MAX_LOG_SCALE};
 pub(crate) use ssim::{C1, C2};
 
 use crate::{Cotangents, Rendered, SettingError};
-use fgs_geom::{Image, has_depth};
+use fgs_geom::{Image, RgbdFrame, has_depth};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
+use std::sync::Arc;
 use thiserror::Error;
 
 /// Weights and choices of the loss.
@@ -41,7 +43,7 @@ pub struct LossSettings {
     pub depth_weight: f32,
     /// Weight of [`scale_regularizer`].
     pub scale_weight: f32,
-    /// Whether colour is compared only where depth was measured, else everywhere.
+    /// Whether colour is compared only where depth was measured too, else wherever it is valid.
     pub mask_color_by_depth: bool,
     /// Whether the rendered depth, a sum of `weight * z`, is divided by the rendered alpha before
     /// it is compared.
@@ -77,11 +79,16 @@ impl LossSettings {
 pub struct Target {
     color: Image<[u8; 3]>,
     depth_m: Image<f32>,
+    /// `None` if every colour is valid.
+    color_valid: Option<Arc<Image<bool>>>,
+    /// Number of pixels with measured depth, with valid colour, and with both.
     measured: usize,
+    colored: usize,
+    colored_and_measured: usize,
 }
 
 impl Target {
-    /// From colour and depth (metres, 0 or non-finite where there is none).
+    /// From colour and depth (metres, 0 or non-finite where there is none), every colour valid.
     ///
     /// # Errors
     /// If the sizes differ.
@@ -89,20 +96,70 @@ impl Target {
         check_size("depth", &depth_m, &color)?;
         let measured = depth_m.data().iter().filter(|d| has_depth(**d)).count();
         Ok(Self {
+            colored: color.data().len(),
             color,
             depth_m,
+            color_valid: None,
             measured,
+            colored_and_measured: measured,
         })
     }
 
-    /// Measured colour.
+    /// The same target with a mask of the colours to be compared. The others become black, which
+    /// is what lies outside the image for SSIM.
+    ///
+    /// # Errors
+    /// If the mask's size differs.
+    pub fn with_color_valid(mut self, valid: Arc<Image<bool>>) -> Result<Self, LossError> {
+        check_size("colour validity", &valid, &self.color)?;
+        (self.colored, self.colored_and_measured) = (0, 0);
+        let pixels = self.color.data_mut().iter_mut().zip(self.depth_m.data());
+        for ((color, depth_m), valid) in pixels.zip(valid.data()) {
+            if *valid {
+                self.colored += 1;
+                self.colored_and_measured += usize::from(has_depth(*depth_m));
+            } else {
+                *color = [0; 3];
+            }
+        }
+        self.color_valid = Some(valid);
+        Ok(self)
+    }
+
+    /// The images of a frame, and its mask of valid colours.
+    ///
+    /// # Errors
+    /// If the sizes differ.
+    pub fn from_frame(frame: &RgbdFrame) -> Result<Self, LossError> {
+        let target = Self::new(frame.color.clone(), frame.depth_m.clone())?;
+        match &frame.color_valid {
+            Some(valid) => target.with_color_valid(valid.clone()),
+            None => Ok(target),
+        }
+    }
+
+    /// Measured colour, black where it is not valid.
     pub fn color(&self) -> &Image<[u8; 3]> {
         &self.color
+    }
+
+    /// Which colours are valid; `None` if all are.
+    pub(crate) fn color_valid(&self) -> Option<&Image<bool>> {
+        self.color_valid.as_deref()
     }
 
     /// How many pixels have measured depth.
     pub(crate) fn measured(&self) -> usize {
         self.measured
+    }
+
+    /// How many pixels the colour loss is over.
+    pub(crate) fn compared_colors(&self, settings: &LossSettings) -> usize {
+        if settings.mask_color_by_depth {
+            self.colored_and_measured
+        } else {
+            self.colored
+        }
     }
 
     /// Measured depth in metres, 0 or non-finite where there is none.
@@ -116,9 +173,9 @@ impl Target {
 pub struct ImageLoss {
     /// Weighted sum of the three parts.
     pub total: f64,
-    /// Mean absolute colour error over valid pixels and channels.
+    /// Mean absolute colour error over compared pixels and channels.
     pub l1: f64,
-    /// Mean SSIM over valid pixels and channels, 1 if no pixel is valid.
+    /// Mean SSIM over compared pixels and channels, 1 if there is none.
     pub ssim: f64,
     /// Mean absolute depth error over measured pixels, in units of 10 m.
     pub depth: f64,
@@ -163,7 +220,7 @@ pub(crate) const MAX_RENDERED: f32 = 1e4;
 
 /// Compares a render with its target, Eq. (16) without the regulariser, and writes the derivatives
 /// of its total to `cotangents`, whatever they were: those by alpha are zero unless depth is
-/// normalised. An image without a valid pixel has no loss and no derivatives.
+/// normalised. An image without a pixel to compare has no loss and no derivatives.
 ///
 /// # Errors
 /// If an image's size is not the target's, or a rendered value is not finite or above 1e4.

@@ -18,6 +18,23 @@ struct Scene {
     target: Target,
 }
 
+/// A lens's border: rounded corners and a ragged left edge.
+fn border(width: usize, height: usize) -> Arc<Image<bool>> {
+    let centered = |x: usize, size: usize| 2.0 * x as f64 / size as f64 - 1.0;
+    Arc::new(Image::from_fn(width, height, |u, v| {
+        let (x, y) = (centered(u, width), centered(v, height));
+        x * x + y * y < 1.5 && u > v % 3
+    }))
+}
+
+/// The scene, and the scene with pixels that the camera did not see.
+fn scenes(width: usize, height: usize, seed: u64) -> [Scene; 2] {
+    let [plain, mut bordered] = [scene(width, height, seed), scene(width, height, seed)];
+    let valid = border(width, height);
+    bordered.target = bordered.target.with_color_valid(valid).unwrap();
+    [plain, bordered]
+}
+
 fn scene(width: usize, height: usize, seed: u64) -> Scene {
     let mut rng = Pcg64Mcg::seed_from_u64(seed);
     let mut uniform = |low: f32, high: f32| rng.random_range(low..high);
@@ -87,8 +104,15 @@ impl Scene {
     }
 }
 
-/// SSIM at (u, v) of two images of one channel, by its definition; zeros outside.
-fn ssim_at(x: &Image<Dual64>, y: &Image<f64>, u: usize, v: usize) -> Dual64 {
+/// SSIM at (u, v) of two images of one channel, by its definition; zeros outside, which is wherever
+/// `is_inside` is false.
+fn ssim_at(
+    x: &Image<Dual64>,
+    y: &Image<f64>,
+    is_inside: impl Fn(usize, usize) -> bool,
+    u: usize,
+    v: usize,
+) -> Dual64 {
     let weight = |du: i32, dv: i32| (-f64::from(du * du + dv * dv) / (2.0 * 1.5 * 1.5)).exp();
     let offsets = || (-5..=5).flat_map(|dv| (-5..=5).map(move |du| (du, dv)));
     let sum: f64 = offsets().map(|(du, dv)| weight(du, dv)).sum();
@@ -99,7 +123,9 @@ fn ssim_at(x: &Image<Dual64>, y: &Image<f64>, u: usize, v: usize) -> Dual64 {
             u.wrapping_add_signed(du as isize),
             v.wrapping_add_signed(dv as isize),
         );
-        let Some(x) = x.get(at.0, at.1) else { continue };
+        let Some(x) = x.get(at.0, at.1).filter(|_| is_inside(at.0, at.1)) else {
+            continue;
+        };
         let y = y.at(at.0, at.1);
         let w = weight(du, dv) / sum;
         mx += x * w;
@@ -121,7 +147,8 @@ fn reference_color(
     masked: bool,
 ) -> (Dual64, Dual64, f64) {
     let y = target.color.map(|rgb| f64::from(rgb[c]) / 255.0);
-    let valid = |u, v| !masked || has_depth(target.depth_m.at(u, v));
+    let seen = |u, v| (target.color_valid.as_ref()).is_none_or(|seen| seen.at(u, v));
+    let valid = |u, v| seen(u, v) && (!masked || has_depth(target.depth_m.at(u, v)));
     let x = Image::from_fn(x.width(), x.height(), |u, v| match valid(u, v) {
         true => x.at(u, v),
         false => Dual64::from(y.at(u, v)),
@@ -130,7 +157,7 @@ fn reference_color(
     for v in 0..x.height() {
         for u in (0..x.width()).filter(|u| valid(*u, v)) {
             l1 += (x.at(u, v) - y.at(u, v)).abs();
-            ssim += ssim_at(&x, &y, u, v);
+            ssim += ssim_at(&x, &y, seen, u, v);
             count += 1.0;
         }
     }
@@ -167,15 +194,18 @@ const fn only(l1_weight: f32, ssim_weight: f32, depth_weight: f32) -> LossSettin
 #[test]
 fn color_values_match_the_definition() {
     // The last has several strips, the second is smaller than the window.
-    for (width, height) in [(1, 1), (4, 3), (WIDTH, HEIGHT), (17, 70)] {
-        let scene = scene(width, height, 1);
+    let sizes = [(1, 1), (4, 3), (WIDTH, HEIGHT), (17, 70)];
+    for scene in sizes
+        .map(|(width, height)| scenes(width, height, 1))
+        .as_flattened()
+    {
         for mask_color_by_depth in [false, true] {
             let settings = LossSettings {
                 mask_color_by_depth,
                 ..ONLY_SSIM
             };
             let loss = scene.loss(&settings);
-            if mask_color_by_depth && scene.target.measured == 0 {
+            if scene.target.compared_colors(&settings) == 0 {
                 assert_eq!((loss.l1, loss.ssim), (0.0, 1.0));
                 continue;
             }
@@ -195,8 +225,13 @@ fn color_values_match_the_definition() {
 
 #[test]
 fn color_gradients_match_dual_numbers() {
-    let scene = scene(13, 37, 2);
-    for mask_color_by_depth in [false, true] {
+    let [plain, bordered] = scenes(13, 37, 2);
+    for (scene, mask_color_by_depth) in [
+        (&plain, false),
+        (&plain, true),
+        (&bordered, false),
+        (&bordered, true),
+    ] {
         // Of each of the two losses by every colour.
         let expected: (Vec<f64>, Vec<f64>) = (0..3 * scene.color.data().len())
             .into_par_iter()
@@ -254,6 +289,37 @@ fn what_is_not_valid_has_no_influence() {
     }
     assert!(invalid > 100 && invalid < WIDTH * HEIGHT - 100);
     assert_eq!(changed.loss(&settings), expected);
+}
+
+#[test]
+fn a_mask_of_valid_colors_changes_nothing_else() {
+    let settings = LossSettings::default();
+    let [mut plain, mut bordered] = scenes(WIDTH, HEIGHT, 4);
+    let expected = bordered.loss(&settings);
+    let seen = bordered.target.color_valid.clone().unwrap();
+    let mut invalid = 0;
+    for i in 0..WIDTH * HEIGHT {
+        if !seen.data()[i] {
+            bordered.color.data_mut()[i] = [7.0, -3.0, 0.1];
+            assert_eq!(expected.d_color.data()[i], [0.0; 3]);
+            invalid += 1;
+        }
+    }
+    assert!((50..400).contains(&invalid), "{invalid}");
+    assert_eq!(bordered.loss(&settings), expected);
+    let unmasked = plain.loss(&settings);
+    assert_eq!(unmasked.d_depth_m, expected.d_depth_m);
+    // A mask that excludes nothing is no mask.
+    let all = Arc::new(Image::filled(WIDTH, HEIGHT, true));
+    plain.target = plain.target.with_color_valid(all).unwrap();
+    assert_eq!(plain.loss(&settings), unmasked);
+    let none = Arc::new(Image::filled(WIDTH, HEIGHT, false));
+    plain.target = plain.target.with_color_valid(none).unwrap();
+    let loss = plain.loss(&only(0.8, 0.2, 0.0));
+    assert_eq!((loss.total, loss.l1, loss.ssim), (0.0, 0.0, 1.0));
+    assert!(loss.d_color.data().as_flattened().iter().all(|d| *d == 0.0));
+    let turned = Arc::new(Image::filled(HEIGHT, WIDTH, true));
+    assert!(plain.target.with_color_valid(turned).is_err());
 }
 
 #[test]

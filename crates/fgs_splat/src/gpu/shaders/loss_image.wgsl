@@ -1,5 +1,5 @@
-// What both passes of the loss read. A measured pixel holds its colour, eight bits a channel, and
-// the bits of its depth in metres.
+// What both passes of the loss read. A measured pixel holds its colour, eight bits a channel with
+// the fourth byte 0 where the camera did not see it, and the bits of its depth in metres.
 
 @group(0) @binding(0) var<uniform> view: View;
 @group(0) @binding(1) var<uniform> loss: Loss;
@@ -20,7 +20,7 @@ fn has_depth(bits: u32) -> bool {
 }
 
 fn is_valid(pixel: vec2<u32>) -> bool {
-    return loss.masked == 0u || has_depth(pixel.y);
+    return pixel.x >= 1u << 24u && (loss.masked == 0u || has_depth(pixel.y));
 }
 
 fn offset_of(channel: u32, map: u32) -> u32 {

@@ -14,6 +14,10 @@ fn is_out_of_range(v: vec4<f32>) -> bool {
     return any((bitcast<vec4<u32>>(v) & vec4(0x7fffffffu)) > vec4(bitcast<u32>(MAX_RENDERED)));
 }
 
+fn moments_at(i: u32) -> vec3<f32> {
+    return vec3(images[0][i], images[1][i], images[2][i]);
+}
+
 @compute @workgroup_size(SIDE, SIDE)
 fn losses(
     @builtin(global_invocation_id) id: vec3<u32>,
@@ -51,18 +55,12 @@ fn losses(
         for (var i = thread; i < PADDED * SIDE; i += GROUP) {
             let first = i / SIDE * PADDED + i % SIDE;
             var sum = vec3(0.0);
-            for (var tap = 0u; tap < TAPS; tap += 1u) {
-                let from_image = first + tap;
-                sum += WINDOW[tap]
-                    * vec3(images[0][from_image], images[1][from_image], images[2][from_image]);
-            }
+            #each_tap sum += {weight} * moments_at(first + {tap});
             rows[i] = sum;
         }
         workgroupBarrier();
         var blurred = vec3(0.0);
-        for (var tap = 0u; tap < TAPS; tap += 1u) {
-            blurred += WINDOW[tap] * rows[thread + tap * SIDE];
-        }
+        #each_tap blurred += {weight} * rows[thread + {tap} * SIDE];
         if valid {
             let difference = shown[channel] - target_color[channel];
             let sum = shown[channel] + target_color[channel];

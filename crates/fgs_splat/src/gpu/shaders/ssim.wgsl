@@ -26,17 +26,12 @@ fn ssim(
         for (var i = thread; i < PADDED * SIDE; i += GROUP) {
             let first = i / SIDE * PADDED + i % SIDE;
             var sum = vec4(0.0);
-            for (var tap = 0u; tap < TAPS; tap += 1u) {
-                let image = images[first + tap];
-                sum += WINDOW[tap] * vec4(image, image * image);
-            }
+            #each_tap sum += {weight} * with_squares(images[first + {tap}]);
             rows[i] = sum;
         }
         workgroupBarrier();
         var m = vec4(0.0);
-        for (var tap = 0u; tap < TAPS; tap += 1u) {
-            m += WINDOW[tap] * rows[thread + tap * SIDE];
-        }
+        #each_tap m += {weight} * rows[thread + {tap} * SIDE];
         // Rounding may take a variance below zero.
         let md = m.x;
         let ms = m.y;
@@ -66,6 +61,10 @@ fn ssim(
     if thread == 0u {
         loss_sums[tile.y * loss.columns + tile.x] = sum;
     }
+}
+
+fn with_squares(image: vec2<f32>) -> vec4<f32> {
+    return vec4(image, image * image);
 }
 
 // d and s at a place that counts from RADIUS before the image's first pixel.

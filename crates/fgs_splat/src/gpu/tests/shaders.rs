@@ -47,6 +47,21 @@ fn structures_lie_as_the_shaders_have_them() {
     assert!(compared >= layouts().len());
 }
 
+/// Drivers may keep one in memory of each thread's own, wherever a loop's counter is its index.
+#[test]
+fn no_shader_has_a_constant_array() {
+    for file in SHADER_FILES {
+        let (module, _) = file.parse(false).unwrap();
+        for (_, constant) in module.constants.iter() {
+            let is_array = matches!(
+                module.types[constant.ty].inner,
+                naga::TypeInner::Array { .. }
+            );
+            assert!(!is_array, "{}: {:?}", file.name, constant.name);
+        }
+    }
+}
+
 #[test]
 fn metal_and_direct_x_have_words_for_every_shader() {
     for file in SHADER_FILES {

@@ -1,6 +1,8 @@
 //! Each stage against its twin on the CPU, on all scenes.
 
-use fgs_geom::{KeyframeId, Se3, View};
+use std::sync::Arc;
+
+use fgs_geom::{Image, KeyframeId, Se3, View};
 use nalgebra::Vector6;
 
 use super::scenes::{Scene, model_of, random_target, scenes};
@@ -20,13 +22,19 @@ fn fetch<T: bytemuck::Pod>(model: &GpuModel, name: &str, len: usize) -> Vec<T> {
 }
 
 /// Runs `check` on every scene after a pass forward and backward with a random target. What the
-/// passes of another view, a smaller one, have left in the buffers must not show.
+/// passes of another view, a smaller one, have left in the buffers must not show. Every other scene
+/// has colours that the camera did not see.
 fn on_all_scenes(check: impl Fn(&Scene, &crate::Target, &GpuModel, &[u32])) {
     for (seed, scene) in (0..).zip(scenes()) {
         let Some(mut model) = model_of(&scene, &ModelSettings::default()) else {
             return;
         };
-        let target = random_target(&mut rng(seed), &scene.view);
+        let mut target = random_target(&mut rng(seed), &scene.view);
+        if seed % 2 == 1 {
+            let camera = &scene.view.camera;
+            let valid = Image::from_fn(camera.width, camera.height, |u, v| (u / 9 + v / 4) % 3 > 0);
+            target = target.with_color_valid(Arc::new(valid)).unwrap();
+        }
         let aside = Se3::exp(&Vector6::new(0.05, -0.1, 0.05, 0.1, 0.05, -0.2));
         let [width, height] = [scene.view.camera.width, scene.view.camera.height];
         let other = View {
