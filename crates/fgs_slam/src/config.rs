@@ -140,9 +140,6 @@ pub struct MappingConfig {
     pub covisible_probability: f64,
     /// At most so many keyframes stay in memory for optimisation.
     pub max_keyframes: usize,
-    /// The images of at most so many of them lie on the graphics device, where one computes; the
-    /// rest waits in host memory. A view of 1200x680 takes 6.5 MB.
-    pub max_views_on_gpu: usize,
     /// Steps between prunings.
     pub prune_every: usize,
     /// Gaussians less opaque are pruned.
@@ -223,7 +220,6 @@ impl Default for MappingConfig {
             min_covisible_share: 0.7,
             covisible_probability: 0.3,
             max_keyframes: 200,
-            max_views_on_gpu: 100,
             prune_every: 200,
             prune_opacity: 0.005,
             prune_scale_m: 1.0,
@@ -297,7 +293,6 @@ impl SlamConfig {
             mapping.covisible_probability,
         )?;
         count("mapping.max_keyframes", mapping.max_keyframes)?;
-        count("mapping.max_views_on_gpu", mapping.max_views_on_gpu)?;
         count("mapping.prune_every", mapping.prune_every)?;
         share("mapping.prune_opacity", mapping.prune_opacity.into())?;
         positive("mapping.prune_scale_m", mapping.prune_scale_m.into())?;
@@ -389,10 +384,6 @@ mod tests {
         assert_eq!(
             refused(|c| c.mapping.iterations_per_frame = f64::INFINITY),
             "mapping.iterations_per_frame"
-        );
-        assert_eq!(
-            refused(|c| c.mapping.max_views_on_gpu = 0),
-            "mapping.max_views_on_gpu"
         );
         assert_eq!(
             refused(|c| c.mapping.learning_rates.sh = -1.0),
