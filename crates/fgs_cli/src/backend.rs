@@ -4,8 +4,10 @@
 //! happened yet.
 
 use std::fmt;
+use std::path::PathBuf;
 
 use clap::ValueEnum;
+use etcetera::BaseStrategy;
 use fgs_slam::{MappingConfig, model_settings};
 use fgs_splat::{CpuModel, GpuDevice, GpuError, GpuModel};
 use serde::{Deserialize, Serialize};
@@ -40,6 +42,8 @@ pub enum Model {
         model: Box<GpuModel>,
         /// The device's name.
         device: String,
+        /// What slows it down, if anything does.
+        caveats: String,
     },
 }
 
@@ -54,12 +58,14 @@ impl Backend {
             reason,
         };
         let on_gpu = |accept_software| {
-            let device = GpuDevice::find(accept_software)?;
+            let device = GpuDevice::find(accept_software, pipeline_cache().as_deref())?;
             let name = device.name().to_owned();
-            let model = GpuModel::new(device, model_settings(config), config.max_views_on_gpu)?;
+            let caveats = device.caveats().join("; ");
+            let model = GpuModel::new(device, &model_settings(config))?;
             Ok(Model::Gpu {
                 model: Box::new(model),
                 device: name,
+                caveats,
             })
         };
         match self {
@@ -99,9 +105,20 @@ impl fmt::Display for Model {
                 reason: Some(reason),
                 ..
             } => write!(f, "the CPU: {reason}"),
-            Self::Gpu { device, .. } => f.write_str(device),
+            Self::Gpu {
+                device, caveats, ..
+            } if caveats.is_empty() => f.write_str(device),
+            Self::Gpu {
+                device, caveats, ..
+            } => write!(f, "{device}, {caveats}"),
         }
     }
+}
+
+/// Where compiled pipelines are kept from one run to the next: in the user's cache folder.
+pub fn pipeline_cache() -> Option<PathBuf> {
+    let base = etcetera::choose_base_strategy().ok()?;
+    Some(base.cache_dir().join("fgs-slam"))
 }
 
 #[cfg(test)]
@@ -128,7 +145,7 @@ mod tests {
         assert_eq!(Backend::Cpu.model(&config).unwrap().name(), "CPU");
         assert!(Backend::Auto.model(&config).is_ok());
         match Backend::Gpu.model(&config) {
-            Ok(model) => assert_eq!(model.name(), model.to_string()),
+            Ok(model) => assert!(model.to_string().starts_with(model.name())),
             Err(error) => assert!(error.to_string().contains("--backend cpu"), "{error}"),
         }
     }

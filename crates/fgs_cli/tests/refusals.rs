@@ -77,7 +77,6 @@ fn bad_settings() {
     for set in [
         "mapping.prune_evry=5",
         "mapping.prune_every=0",
-        "mapping.max_views_on_gpu=0",
         "run.backend=abacus",
         "seed=x",
         "seed",

@@ -279,7 +279,6 @@ fn settings_and_frames_of_the_command_line_hold() {
         "seed = 9",
         "prune_every = 3",
         "iterations_per_frame = 0.5",
-        "max_views_on_gpu = 100",
         "backend = \"cpu\"",
         "frames = \"2..8\"",
     ] {

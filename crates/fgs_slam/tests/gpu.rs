@@ -24,7 +24,7 @@ fn go(sequence: &Sequence, execution: Execution, model: Box<dyn GaussianModel>) 
 
 #[test]
 fn a_run_on_a_device_repeats_itself_and_is_as_good_as_on_the_cpu() {
-    let device = match GpuDevice::find(true) {
+    let device = match GpuDevice::find(true, None) {
         Ok(device) => device,
         Err(GpuError::NoAdapter(_)) => {
             // Not through `eprintln`, which the test harness keeps to itself.
@@ -38,8 +38,7 @@ fn a_run_on_a_device_repeats_itself_and_is_as_good_as_on_the_cpu() {
     };
     let sequence = room(FRAMES);
     let settings = model_settings(&config().mapping);
-    // Fewer views on the device than the run has.
-    let new_model = || Box::new(GpuModel::new(device.clone(), settings.clone(), 1).unwrap());
+    let new_model = || Box::new(GpuModel::new(device.clone(), &settings).unwrap());
     let on_cpu = go(&sequence, Execution::Lockstep, cpu_model());
     let on_gpu = go(&sequence, Execution::Lockstep, new_model());
     assert!(on_gpu.failure.is_none());

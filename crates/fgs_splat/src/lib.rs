@@ -1,11 +1,16 @@
 //! Gaussian splatting: gaussians, a differentiable rasteriser of colour, depth and alpha, losses,
 //! Adam, the [`GaussianModel`] that ties them together, and PLY files. Knows nothing of SLAM.
 
+// Constants that only the shaders share.
+#![cfg_attr(not(feature = "gpu"), allow(dead_code, unused_imports))]
+
 mod adam;
 mod cpu;
 mod cpu_model;
 mod gaussians;
+#[cfg(feature = "gpu")]
 mod gpu;
+mod gpu_error;
 mod kernel;
 mod losses;
 mod model;
@@ -21,7 +26,9 @@ pub use adam::{Adam, AdamError, LearningRates};
 pub use cpu::{Rasterizer, Real, RenderPass};
 pub use cpu_model::CpuModel;
 pub use gaussians::{Gaussian, Gaussians, SH0_FACTOR};
-pub use gpu::{GpuDevice, GpuError, GpuModel, Rates, TimedStep};
+#[cfg(feature = "gpu")]
+pub use gpu::{DispatchCosts, GpuDevice, GpuModel, Rates, TimedStep};
+pub use gpu_error::GpuError;
 pub use losses::{ImageLoss, LossError, LossSettings, Target, photometric_loss, scale_regularizer};
 pub use model::{GaussianModel, ModelError, ModelSettings, PruneRule, Seeds, SparseId, StepStats};
 pub use ply::{PlyError, read_ply, write_ply};

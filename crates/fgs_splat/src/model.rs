@@ -93,7 +93,7 @@ pub enum ModelError {
 
 /// A map of gaussians that can be rendered and optimised.
 pub trait GaussianModel: Send {
-    /// Number of gaussians.
+    /// Number of gaussians. A device may go on counting for some steps what was pruned.
     fn len(&self) -> usize;
 
     /// Whether there are none.

@@ -2,14 +2,17 @@
 //!
 //! Each stage by the device's clock, in a pass of its own; those of one name in a step, as the passes
 //! of the sorts, are added up. Then the step as it really is, many on their way at once, by the wall
-//! clock. The floor of a step is the sum of its stages': each begins when the one before has ended.
+//! clock: on one view, and alternating between several as a run does. The floor of a step is the sum of
+//! its stages': each begins when the one before has ended. At last what a new keyframe asks for, by
+//! the wall clock with the device's answer waited for.
 
 use std::time::Instant;
 
 use anyhow::Context;
 use fgs_geom::KeyframeId;
 use fgs_splat::{
-    GaussianModel, GpuDevice, GpuError, GpuModel, ModelError, ModelSettings, Rates, TimedStep,
+    GaussianModel, GpuDevice, GpuError, GpuModel, ModelError, ModelSettings, PruneRule, Rates,
+    Seeds, TimedStep,
 };
 use serde::Serialize;
 
@@ -17,12 +20,17 @@ use super::gpu_floors::{NOMINAL, Work, floor_ms};
 use super::input::Input;
 use super::scene::{Scene, check_fall};
 use super::stage::{RUNS, Times};
+use crate::backend::pipeline_cache;
 use crate::console::Console;
 use crate::failure::{EXIT_DONE, UsageError};
 
 /// Steps are timed together: as many as take so long, but no more than this number.
 const TOGETHER_MS: f64 = 200.0;
 const MOST_TOGETHER: f64 = 100.0;
+/// Views that steps alternate between.
+const VIEWS: u32 = 8;
+/// A keyframe brings so many times fewer gaussians than there are.
+const NEW_SHARE: usize = 100;
 
 /// One line of the table.
 #[derive(Serialize)]
@@ -47,6 +55,8 @@ struct Size<'a> {
     /// `null` if the device has no clock.
     in_view: Option<usize>,
     entries: Option<usize>,
+    longest_list: Option<usize>,
+    most_tiles: Option<usize>,
     device_bytes: u64,
 }
 
@@ -56,8 +66,10 @@ struct Size<'a> {
 /// # Errors
 /// If there is no device, it fails, or steps do not lower the loss.
 pub fn run(inputs: &[Input], numbers: &[usize], console: Console) -> anyhow::Result<u8> {
-    let device = GpuDevice::find(true).map_err(|error| UsageError(error.to_string()))?;
+    let device = GpuDevice::find(true, pipeline_cache().as_deref())
+        .map_err(|error| UsageError(error.to_string()))?;
     let rates = device.measure_rates()?;
+    let costs = device.measure_dispatch_costs()?;
     console.say(format!(
         "{}: {:.1} GB/s, {:.0} GFLOP/s; nominal: {:.1} GB/s, {:.0} GFLOP/s",
         device.name(),
@@ -72,8 +84,19 @@ pub fn run(inputs: &[Input], numbers: &[usize], console: Console) -> anyhow::Res
             "device": device.name(),
             "bytes_per_sec": rates.bytes_per_sec,
             "flops_per_sec": rates.flops_per_sec,
+            "caveats": device.caveats(),
+            "dispatch_secs": costs.direct_secs,
+            "indirect_dispatch_secs": costs.indirect_secs,
         }),
     );
+    console.say(format!(
+        "an empty dispatch and its barrier: {:.2} us, {:.2} us with its size on the device",
+        1e6 * costs.direct_secs,
+        1e6 * costs.indirect_secs
+    ));
+    for caveat in device.caveats() {
+        console.say(format!("note: {caveat}"));
+    }
     console.say(format!(
         "\n{:<10} {:<28} {:<44}  median ms    best ms   floor ms nominal ms",
         "input", "stage", "work"
@@ -99,9 +122,9 @@ fn bench(
     console: Console,
 ) -> anyhow::Result<()> {
     let scene = Scene::new(&input.frames[0], count)?;
-    let mut model = GpuModel::new(device.clone(), ModelSettings::default(), 1)?;
+    let mut model = GpuModel::new(device.clone(), &ModelSettings::default())?;
     let id = scene.fill(&mut model)?;
-    steps(&mut model, id, 2)?;
+    steps(&mut model, &[id], 2)?;
     check_fall(&model.take_stats())?;
 
     let mut runs = Vec::new();
@@ -170,28 +193,43 @@ fn bench(
     }
 
     let start = Instant::now();
-    steps(&mut model, id, 2)?;
+    steps(&mut model, &[id], 2)?;
     let step_ms = 0.5e3 * start.elapsed().as_secs_f64();
     let together = (TOGETHER_MS / step_ms).clamp(2.0, MOST_TOGETHER) as usize;
-    let mut outcome = Ok(());
-    let times = Times::measure(&mut || {
-        if outcome.is_ok() {
-            outcome = steps(&mut model, id, together);
-        }
-    });
-    outcome?;
-    let each = |ms| ms / together as f64;
-    let times = Times {
-        median_ms: each(times.median_ms),
-        best_ms: each(times.best_ms),
-    };
-    print("whole step", &stages, times);
+    let views: Vec<KeyframeId> = (id.0..id.0 + VIEWS).map(KeyframeId).collect();
+    for other in &views[1..] {
+        model.add_view(*other, scene.view, scene.target.clone())?;
+    }
+    for (name, views) in [
+        ("whole step, one view", &views[..1]),
+        ("whole step", &views[..]),
+    ] {
+        let mut outcome = Ok(());
+        let times = Times::measure(&mut || {
+            if outcome.is_ok() {
+                outcome = steps(&mut model, views, together);
+            }
+        });
+        outcome?;
+        let each = |ms| ms / together as f64;
+        let times = Times {
+            median_ms: each(times.median_ms),
+            best_ms: each(times.best_ms),
+        };
+        print(name, &stages, times);
+    }
+    for (name, times) in time_keyframe(&mut model, &scene)? {
+        print(name, &[], Times::of(times));
+    }
 
+    let last = runs.last();
     let size = Size {
         input: &input.name,
         gaussians: count,
         in_view: work.map(|work| work.in_view),
         entries: work.map(|work| work.entries),
+        longest_list: last.map(|step| step.longest_list),
+        most_tiles: last.map(|step| step.most_tiles),
         device_bytes: model.device_bytes(),
     };
     console.say(format!(
@@ -200,6 +238,12 @@ fn bench(
         "device memory",
         1e-6 * size.device_bytes as f64
     ));
+    if let (Some(longest_list), Some(most_tiles)) = (size.longest_list, size.most_tiles) {
+        console.say(format!(
+            "{:<10} {:<28} {longest_list} gaussians in a tile, {most_tiles} tiles of a gaussian",
+            size.input, "longest list"
+        ));
+    }
     console.event("scene", &size);
     Ok(())
 }
@@ -214,12 +258,67 @@ fn is_too_large(error: &anyhow::Error) -> bool {
     )
 }
 
-/// Takes that many steps and waits for them.
-fn steps(model: &mut GpuModel, id: KeyframeId, number: usize) -> Result<(), ModelError> {
-    for _ in 0..number {
-        model.step(id)?;
+/// Takes that many steps on views by turns and waits for them.
+fn steps(model: &mut GpuModel, views: &[KeyframeId], number: usize) -> Result<(), ModelError> {
+    for id in views.iter().cycle().take(number) {
+        model.step(*id)?;
     }
     model.finish_steps()
+}
+
+/// The phases of a keyframe's insertion, and a pruning, each with its milliseconds in each run.
+fn time_keyframe(model: &mut GpuModel, scene: &Scene) -> anyhow::Result<Vec<Stage>> {
+    let new = scene.gaussians.len().div_ceil(NEW_SHARE);
+    let mut gaussians = scene.gaussians.clone();
+    let mut keep = vec![true; new];
+    keep.resize(gaussians.len(), false);
+    gaussians.retain(&keep);
+    let seeds = Seeds {
+        sparse_ids: vec![None; new],
+        gaussians,
+    };
+    let id = KeyframeId(VIEWS);
+    let rule = PruneRule {
+        min_opacity: 0.0,
+        max_scale_m: f32::INFINITY,
+        max_aspect: f32::INFINITY,
+    };
+    type Phase<'a> = &'a mut dyn FnMut(&mut GpuModel) -> Result<(), ModelError>;
+    let mut stages = Vec::new();
+    for _ in 0..RUNS {
+        let phases: [(&'static str, Phase<'_>); 5] = [
+            ("keyframe: see through", &mut |model| {
+                model.see_through(&scene.view, 0.98).map(|_| ())
+            }),
+            ("keyframe: insert 1 %", &mut |model| {
+                model.insert(&seeds, id)
+            }),
+            ("keyframe: add view", &mut |model| {
+                model.add_view(id, scene.view, scene.target.clone())
+            }),
+            ("keyframe: covisibility", &mut |model| {
+                model.covisibility(id).map(|_| ())
+            }),
+            ("prune nothing", &mut |model| {
+                model.prune(&rule)?;
+                model.finish_steps()
+            }),
+        ];
+        for (name, phase) in phases {
+            let start = Instant::now();
+            phase(model)?;
+            add_time(&mut stages, name, 1e3 * start.elapsed().as_secs_f64());
+        }
+        model.drop_view(id)?;
+    }
+    Ok(stages)
+}
+
+fn add_time(stages: &mut Vec<Stage>, name: &'static str, ms: f64) {
+    match stages.iter_mut().find(|(known, _)| *known == name) {
+        Some((_, times)) => times.push(ms),
+        None => stages.push((name, vec![ms])),
+    }
 }
 
 /// A stage's name and its milliseconds in each run.

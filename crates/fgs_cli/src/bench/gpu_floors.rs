@@ -100,9 +100,9 @@ fn cost(stage: &str) -> Option<Cost> {
             [0., ROW, 8. + ROW, RANGE + 28.],
             [0., 0., EVALUATION_FLOPS + 64. + 64., 0.],
         ),
-        // Two sets' bits, twice; touches, gaussian's number, gaussian, gradient; sums.
+        // The set's bits, twice; touches, gaussian's number, gaussian, gradient; sums.
         "project_vjp" => (
-            [4. * BIT, 12. + 2. * ROW, ROW, 0.],
+            [2. * BIT, 12. + 2. * ROW, ROW, 0.],
             [0., PROJECTION_FLOPS + 300., 16., 0.],
         ),
         // Number, gradient; gaussian and moments, twice. Fifteen operations a parameter as on the

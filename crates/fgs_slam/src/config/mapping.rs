@@ -35,9 +35,6 @@ pub struct MappingConfig {
     pub covisible_probability: f64,
     /// At most so many keyframes stay in memory for optimisation.
     pub max_keyframes: usize,
-    /// The images of at most so many of them lie on the graphics device, where one computes; the
-    /// rest waits in host memory. A view of 1200x680 takes 6.5 MB.
-    pub max_views_on_gpu: usize,
     /// Steps between prunings.
     pub prune_every: usize,
     /// What a rendered view is compared by.
@@ -66,7 +63,6 @@ impl Default for MappingConfig {
             iterations_per_frame: 2.8,
             covisible_probability: 0.3,
             max_keyframes: 200,
-            max_views_on_gpu: 100,
             prune_every: 200,
             loss: LossSettings::default(),
             learning_rates: LearningRates::default(),
@@ -89,7 +85,6 @@ impl MappingConfig {
         SettingError::unless_within("iterations_per_frame", self.iterations_per_frame, 0.0..=1e4)?;
         SettingError::unless_share("covisible_probability", self.covisible_probability)?;
         SettingError::unless_count("max_keyframes", self.max_keyframes)?;
-        SettingError::unless_count("max_views_on_gpu", self.max_views_on_gpu)?;
         SettingError::unless_count("prune_every", self.prune_every)?;
         self.loss.validate().map_err(|e| e.within("loss"))?;
         self.learning_rates

@@ -9,11 +9,11 @@ use std::collections::BTreeMap;
 use wgpu::BufferUsages;
 
 use super::device::GpuDevice;
-use super::error::GpuError;
 use super::layout::{
     Count, DISPATCH_WORDS, Dispatch, GROUP, Gaussian, Gradient, LOSS_SIDE, Loss, Optimizer,
     PixelState, Prune, SORT_BLOCK, SortPass, Splat, TILE, View,
 };
+use crate::GpuError;
 
 /// Sets of gaussians to begin with.
 const FIRST_SETS: usize = 16;
@@ -64,6 +64,9 @@ const PER_PIXEL: Group = &[
     ("moments", 9 * WORD),
 ];
 
+/// What shaders call the measured image of the view that they work for.
+const MEASURED: &str = "measured";
+
 /// The passes of the two sorts, each with a uniform of its own.
 pub const DEPTH_PASSES: [&str; 4] = ["depth_0", "depth_1", "depth_2", "depth_3"];
 pub const TILE_PASSES: [&str; 4] = ["tile_0", "tile_1", "tile_2", "tile_3"];
@@ -72,6 +75,8 @@ pub const TILE_PASSES: [&str; 4] = ["tile_0", "tile_1", "tile_2", "tile_3"];
 pub struct Buffers {
     device: GpuDevice,
     table: BTreeMap<&'static str, wgpu::Buffer>,
+    /// Measured images, by the set of their view. To shaders each is `measured`.
+    targets: BTreeMap<u32, wgpu::Buffer>,
     bound: BTreeMap<(&'static str, usize), wgpu::BindGroup>,
     gaussians: usize,
     entries: usize,
@@ -90,6 +95,7 @@ impl Buffers {
         let mut buffers = Self {
             device: device.clone(),
             table: BTreeMap::new(),
+            targets: BTreeMap::new(),
             bound: BTreeMap::new(),
             gaussians: 0,
             entries: 0,
@@ -104,6 +110,7 @@ impl Buffers {
             ("optimizer", size_of::<Optimizer>()),
             ("rule", size_of::<Prune>()),
             ("covisibility_", size_of::<super::layout::Covisibility>()),
+            ("see_through_", size_of::<super::layout::SeeThrough>()),
         ] {
             buffers.make(name, bytes, BufferUsages::UNIFORM)?;
         }
@@ -156,10 +163,37 @@ impl Buffers {
         self.gaussians / 32
     }
 
-    /// All bytes, views' targets not counted.
+    /// All bytes.
     pub fn bytes(&self) -> u64 {
-        let own = self.table.iter().filter(|(name, _)| **name != "measured");
-        own.map(|(_, buffer)| buffer.size()).sum()
+        let own: u64 = self.table.values().map(wgpu::Buffer::size).sum();
+        own + self.target_bytes()
+    }
+
+    /// Bytes of the measured images.
+    pub fn target_bytes(&self) -> u64 {
+        self.targets.values().map(wgpu::Buffer::size).sum()
+    }
+
+    /// Keeps the measured image of the view that has this set.
+    pub fn set_target(&mut self, set: u32, buffer: wgpu::Buffer) {
+        self.remove_target(set);
+        self.targets.insert(set, buffer);
+    }
+
+    /// Gives the memory of a measured image back.
+    pub fn remove_target(&mut self, set: u32) {
+        self.targets.remove(&set);
+        let device = &self.device;
+        self.bound.retain(|(stage, variant), _| {
+            *variant != set as usize || device.stage(stage).is_ok_and(|stage| !stage.uses(MEASURED))
+        });
+    }
+
+    /// The measured images and all bindings there are.
+    #[cfg(test)]
+    pub fn resident(&self) -> (Vec<wgpu::Buffer>, Vec<wgpu::BindGroup>) {
+        let targets = self.targets.values().cloned().collect();
+        (targets, self.bound.values().cloned().collect())
     }
 
     /// The buffer of that name.
@@ -198,7 +232,8 @@ impl Buffers {
     }
 
     /// A stage's bindings. Names of the shader that are no buffer's are looked up in `aliases`
-    /// first; `variant` tells apart what one stage is bound to with different ones.
+    /// first; `variant` tells apart what one stage is bound to with different ones. To a stage that
+    /// compares with a measured image it is the set of the image's view.
     pub fn bind(
         &mut self,
         stage: &'static str,
@@ -208,6 +243,11 @@ impl Buffers {
         let key = (stage, variant);
         if !self.bound.contains_key(&key) {
             let resolve = |name: &str| {
+                if name == MEASURED {
+                    let target = self.targets.get(&(variant as u32));
+                    return target
+                        .ok_or_else(|| GpuError::Other("a measured image is missing".into()));
+                }
                 let alias = aliases.iter().find(|(from, _)| *from == name);
                 let name = alias.map_or(name, |(_, to)| to);
                 self.get(name)
@@ -281,6 +321,8 @@ impl Buffers {
         if pixels > self.pixels {
             let fresh = self.make_all(PER_PIXEL.iter(), pixels)?;
             self.table.extend(fresh);
+            let bytes = WORD * pixels.div_ceil(32);
+            self.make("see_through_words", bytes, BufferUsages::STORAGE)?;
             self.pixels = pixels;
             self.bound.clear();
         }

@@ -1,13 +1,15 @@
 //! A graphics device: which one is taken, whether it suffices, and what it reports when it fails.
 
+use std::path::Path;
 use std::sync::{Arc, Mutex, PoisonError};
 
 use bytemuck::Pod;
 use wgpu::util::DeviceExt;
 
-use super::error::GpuError;
 use super::pipeline_cache::PipelineCacheFile;
+use super::scan_check::scans_in_order;
 use super::stage::{Stage, StageOptions};
+use crate::GpuError;
 
 /// Storage buffers that the stage with most of them binds.
 pub(super) const STORAGE_BUFFERS: u32 = 8;
@@ -27,6 +29,8 @@ pub struct GpuDevice {
 
 struct Shared {
     name: String,
+    in_software: bool,
+    caveats: Vec<&'static str>,
     device: wgpu::Device,
     queue: wgpu::Queue,
     stages: Vec<Stage>,
@@ -45,10 +49,14 @@ impl GpuDevice {
     /// The fastest kind of device there is, by Vulkan, Metal or DirectX 12; one in software, which
     /// is slower than the CPU's own path, only if that is accepted.
     ///
+    /// Compiled pipelines are kept in `pipeline_cache` from one run to the next, where there is such
+    /// a folder and the driver allows it. The driver trusts what lies there: it must be a folder
+    /// that only the user can write to.
+    ///
     /// # Errors
     /// If there is none, or it is below what is needed.
-    pub fn find(accept_software: bool) -> Result<Self, GpuError> {
-        Self::open(accept_software, |features| StageOptions {
+    pub fn find(accept_software: bool, pipeline_cache: Option<&Path>) -> Result<Self, GpuError> {
+        Self::open(accept_software, pipeline_cache, |features| StageOptions {
             by_subgroups: features.contains(wgpu::Features::SUBGROUP),
             checked: false,
         })
@@ -57,6 +65,7 @@ impl GpuDevice {
     /// As [`GpuDevice::find`], with a say in how its stages are made.
     pub(super) fn open(
         accept_software: bool,
+        pipeline_cache: Option<&Path>,
         options: impl Fn(wgpu::Features) -> StageOptions,
     ) -> Result<Self, GpuError> {
         let instance = wgpu::Instance::new(wgpu::InstanceDescriptor {
@@ -70,10 +79,8 @@ impl GpuDevice {
             ..wgpu::InstanceDescriptor::new_without_display_handle()
         });
         let mut adapters = pollster::block_on(instance.enumerate_adapters(wgpu::Backends::all()));
-        let in_software =
-            |adapter: &wgpu::Adapter| adapter.get_info().device_type == wgpu::DeviceType::Cpu;
         let any = !adapters.is_empty();
-        adapters.retain(|adapter| accept_software || !in_software(adapter));
+        adapters.retain(|adapter| accept_software || !is_software(&adapter.get_info()));
         // Stable: among equals the one that the system names first.
         adapters.sort_by_key(|adapter| match adapter.get_info().device_type {
             wgpu::DeviceType::DiscreteGpu => 0,
@@ -85,7 +92,7 @@ impl GpuDevice {
         let detail = if any { "only one in software" } else { "" };
         let mut refusal = GpuError::NoAdapter(detail.into());
         for (place, adapter) in adapters.iter().enumerate() {
-            match Self::of_adapter(adapter, &options) {
+            match Self::of_adapter(adapter, pipeline_cache, &options) {
                 Ok(device) => return Ok(device),
                 // Of several the fastest one's reason counts.
                 Err(error) if place == 0 => refusal = error,
@@ -97,6 +104,7 @@ impl GpuDevice {
 
     fn of_adapter(
         adapter: &wgpu::Adapter,
+        pipeline_cache: Option<&Path>,
         options: &impl Fn(wgpu::Features) -> StageOptions,
     ) -> Result<Self, GpuError> {
         let info = adapter.get_info();
@@ -122,7 +130,9 @@ impl GpuDevice {
         let kept = failure.clone();
         device.set_device_lost_callback(move |_, message| note(&kept, GpuError::Lost(message)));
 
-        let cache = PipelineCacheFile::of(&info, features);
+        let cache = pipeline_cache
+            .filter(|_| features.contains(wgpu::Features::PIPELINE_CACHE))
+            .and_then(|folder| PipelineCacheFile::of(&info, folder));
         let pipelines = cache.as_ref().map(|cache| cache.load(&device));
         let limits = device.limits();
         let binding_limit = limits
@@ -133,6 +143,8 @@ impl GpuDevice {
             let opened = Self {
                 shared: Arc::new(Shared {
                     name: name.clone(),
+                    in_software: is_software(&info),
+                    caveats: caveats(&info, features),
                     device: device.clone(),
                     queue: queue.clone(),
                     stages: stages.map_err(GpuError::Other)?,
@@ -145,7 +157,7 @@ impl GpuDevice {
         };
         let options = options(features);
         let mut opened = make(options)?;
-        if options.by_subgroups && !opened.scans_in_order()? {
+        if options.by_subgroups && !scans_in_order(&device, &queue, opened.stage("check_scan")?)? {
             opened = make(StageOptions {
                 by_subgroups: false,
                 ..options
@@ -160,6 +172,16 @@ impl GpuDevice {
     /// Its name and how it is reached, such as "NVIDIA H200 (vulkan)".
     pub fn name(&self) -> &str {
         &self.shared.name
+    }
+
+    /// Whether it is a device in software, which is slower than the CPU's own path.
+    pub fn is_software(&self) -> bool {
+        self.shared.in_software
+    }
+
+    /// What slows it down that its owner may want to change, in words for the reader.
+    pub fn caveats(&self) -> &[&'static str] {
+        &self.shared.caveats
     }
 
     pub(super) fn raw(&self) -> &wgpu::Device {
@@ -263,6 +285,22 @@ fn translate(error: &wgpu::Error) -> GpuError {
     }
 }
 
+fn is_software(info: &wgpu::AdapterInfo) -> bool {
+    info.device_type == wgpu::DeviceType::Cpu
+}
+
+fn caveats(info: &wgpu::AdapterInfo, features: wgpu::Features) -> Vec<&'static str> {
+    let mut caveats = Vec::new();
+    if is_software(info) {
+        caveats.push("in software, slower than the CPU's own path");
+    }
+    // FXC knows no shader model with subgroup operations, and DXC none without.
+    if info.backend == wgpu::Backend::Dx12 && !features.contains(wgpu::Features::SUBGROUP) {
+        caveats.push("shaders compiled by FXC, for want of dxcompiler.dll");
+    }
+    caveats
+}
+
 fn check_limits(name: &str, limits: &wgpu::Limits) -> Result<(), GpuError> {
     let needs = [
         (
@@ -300,6 +338,18 @@ fn check_limits(name: &str, limits: &wgpu::Limits) -> Result<(), GpuError> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn what_slows_a_device_down_is_said() {
+        let info = |kind, backend| wgpu::AdapterInfo::new(kind, backend);
+        let (gpu, cpu) = (wgpu::DeviceType::DiscreteGpu, wgpu::DeviceType::Cpu);
+        let of = |kind, backend, features| caveats(&info(kind, backend), features).len();
+        let (all, none) = (wgpu::Features::SUBGROUP, wgpu::Features::empty());
+        assert_eq!(of(gpu, wgpu::Backend::Vulkan, none), 0);
+        assert_eq!(of(gpu, wgpu::Backend::Dx12, all), 0);
+        assert_eq!(of(gpu, wgpu::Backend::Dx12, none), 1);
+        assert_eq!(of(cpu, wgpu::Backend::Dx12, none), 2);
+    }
 
     #[test]
     fn a_device_below_the_limits_is_refused_by_name() {

@@ -6,7 +6,6 @@ use std::fmt::Write;
 
 use bytemuck::{Pod, Zeroable};
 
-use super::rates::{COPIED_ROWS, MULTIPLY_ADD_ROUNDS};
 use crate::adam::{BETA_1, BETA_2, DECAY_STEPS, EPSILON};
 use crate::cpu::{SLACK_PX, WHITEN_SCALE};
 use crate::gaussians::SH0_FACTOR;
@@ -25,6 +24,10 @@ pub const SORT_BLOCK: u32 = 2048;
 pub const TILE: u32 = 8;
 /// Pixels of a side of the loss's workgroups.
 pub const LOSS_SIDE: u32 = 16;
+/// Rows of 16 bytes that a thread copies to measure memory.
+pub const COPIED_ROWS: u32 = 4;
+/// Rounds of 32 multiply-adds each to measure arithmetic.
+pub const MULTIPLY_ADD_ROUNDS: u32 = 256;
 /// No gaussian, no set, no name.
 pub const NONE: u32 = u32::MAX;
 
@@ -227,6 +230,14 @@ device_structs! {
         padding_2: u32,
         /// The rotation as a quaternion, wxyz.
         quat: [f32; 4],
+    }
+
+    /// Which pixels are seen through.
+    struct SeeThrough {
+        /// Those of a lower alpha.
+        min_alpha: f32,
+        /// Number of pixels.
+        pixels: u32,
     }
 
     /// Sets of gaussians to be compared.

@@ -3,9 +3,9 @@
 use fgs_geom::View as CameraView;
 
 use super::buffers::{DEPTH_PASSES, TILE_PASSES};
-use super::error::GpuError;
 use super::layout::{self, Dispatch, GROUP, LOSS_SIDE, NONE, TILE};
 use super::recorder::{Groups, Recorder};
+use crate::GpuError;
 use crate::cpu::{Frustum, ScreenCamera};
 use crate::losses::{DEPTH_UNIT_M, LossSettings, Target};
 
@@ -77,11 +77,17 @@ impl Recorder<'_> {
         self.run("forward", Groups::Fixed(view.tile_columns, view.tile_rows))
     }
 
-    /// From images and target to the gaussians' gradients.
-    pub fn backward(&mut self, view: &layout::View, loss: &layout::Loss) -> Result<(), GpuError> {
+    /// From images and target, that of the view with this set, to the gaussians' gradients.
+    pub fn backward(
+        &mut self,
+        view: &layout::View,
+        loss: &layout::Loss,
+        set: u32,
+    ) -> Result<(), GpuError> {
         let by_loss = Groups::Fixed(loss.columns, loss.rows);
-        self.run("ssim", by_loss)?;
-        self.run("losses", by_loss)?;
+        for stage in ["ssim", "losses"] {
+            self.run_as(stage, set as usize, &[], by_loss)?;
+        }
         self.run("backward", Groups::Fixed(view.tile_columns, view.tile_rows))?;
         self.run("project_vjp", Groups::Counted(Dispatch::PER_VISIBLE))
     }

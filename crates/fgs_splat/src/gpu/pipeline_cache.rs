@@ -1,11 +1,9 @@
-//! Compiled pipelines, kept from one run of the program to the next in the user's cache folder.
+//! Compiled pipelines, kept from one run of the program to the next in a folder of the caller's.
 //! What cannot be read or written is left out: then the driver compiles anew.
 
 use std::fs;
 use std::io::Write;
-use std::path::PathBuf;
-
-use etcetera::BaseStrategy;
+use std::path::{Path, PathBuf};
 
 /// The file for one kind of device.
 pub struct PipelineCacheFile {
@@ -13,15 +11,11 @@ pub struct PipelineCacheFile {
 }
 
 impl PipelineCacheFile {
-    /// `None` if the device keeps no pipelines, or there is no place for them. Tests keep none.
-    pub fn of(info: &wgpu::AdapterInfo, features: wgpu::Features) -> Option<Self> {
-        if cfg!(test) || !features.contains(wgpu::Features::PIPELINE_CACHE) {
-            return None;
-        }
+    /// `None` if the device has no name for its kind.
+    pub fn of(info: &wgpu::AdapterInfo, folder: &Path) -> Option<Self> {
         let name = wgpu::util::pipeline_cache_key(info)?;
-        let base = etcetera::choose_base_strategy().ok()?;
         Some(Self {
-            path: base.cache_dir().join("fgs-slam").join(name),
+            path: folder.join(name),
         })
     }
 
@@ -33,8 +27,8 @@ impl PipelineCacheFile {
             data: data.as_deref(),
             fallback: true,
         };
-        // SAFETY: the data is what `save` wrote for this kind of device, under a name of this
-        // program in the user's own cache folder; wgpu checks its header and falls back.
+        // SAFETY: the data is what `save` wrote for this kind of device, in a folder that the caller
+        // vouches for (see `GpuDevice::find`); wgpu checks its header and falls back.
         unsafe { device.create_pipeline_cache(&descriptor) }
     }
 

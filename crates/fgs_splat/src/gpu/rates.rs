@@ -6,19 +6,17 @@
 use std::time::Instant;
 
 use super::device::GpuDevice;
-use super::error::GpuError;
-use super::layout::GROUP;
+use super::layout::{COPIED_ROWS, GROUP, MULTIPLY_ADD_ROUNDS};
+use crate::GpuError;
 
-/// Rows of 16 bytes that a thread copies.
-pub const COPIED_ROWS: u32 = 4;
-/// Rounds of 32 multiply-adds each.
-pub const MULTIPLY_ADD_ROUNDS: u32 = 256;
 /// Bytes that a workgroup copies.
 const COPIED_BYTES: u64 = 16 * (COPIED_ROWS * GROUP) as u64;
 /// Bytes copied at a time, if the device binds so much: far more than any cache holds.
 const COPY_BYTES: u64 = 512 << 20;
 /// Workgroups of multiply-adds; what they write fits the smallest buffer that a device must bind.
 const MULTIPLY_ADD_GROUPS: u32 = 1 << 13;
+/// Dispatches of a pass, to time one.
+const DISPATCHES: u32 = 1000;
 /// A submission that takes so long is the last.
 const LONG_SECS: f64 = 0.25;
 
@@ -31,7 +29,48 @@ pub struct Rates {
     pub flops_per_sec: f64,
 }
 
+/// What it costs to start a stage, without its work: the dispatch, and the barrier behind the one
+/// before, which wrote what it reads.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct DispatchCosts {
+    /// Of a size that the host gives, seconds.
+    pub direct_secs: f64,
+    /// Of a size that lies on the device, seconds.
+    pub indirect_secs: f64,
+}
+
 impl GpuDevice {
+    /// Measures what it costs to start a stage.
+    ///
+    /// # Errors
+    /// If the device fails.
+    pub fn measure_dispatch_costs(&self) -> Result<DispatchCosts, GpuError> {
+        let storage = wgpu::BufferUsages::STORAGE;
+        let touched = self.buffer("what dispatches touch", 16, storage)?;
+        let size = self.buffer(
+            "a dispatch's size",
+            12,
+            storage | wgpu::BufferUsages::INDIRECT,
+        )?;
+        self.queue()
+            .write_buffer(&size, 0, bytemuck::bytes_of(&[1_u32; 3]));
+        let stage = self.stage("touch")?;
+        let buffers = stage.bind(self.raw(), |_| Ok(&touched))?;
+        let secs = |dispatch: &dyn Fn(&mut wgpu::ComputePass<'_>)| {
+            let of_many = self.best_secs(|encoder| {
+                let mut pass = encoder.begin_compute_pass(&Default::default());
+                pass.set_pipeline(&stage.pipeline);
+                pass.set_bind_group(0, &buffers, &[]);
+                (0..DISPATCHES).for_each(|_| dispatch(&mut pass));
+            })?;
+            Ok::<_, GpuError>(of_many / f64::from(DISPATCHES))
+        };
+        Ok(DispatchCosts {
+            direct_secs: secs(&|pass| pass.dispatch_workgroups(1, 1, 1))?,
+            indirect_secs: secs(&|pass| pass.dispatch_workgroups_indirect(&size, 0))?,
+        })
+    }
+
     /// Measures the device's rates, which takes a second or two and up to a gigabyte of its memory.
     ///
     /// # Errors

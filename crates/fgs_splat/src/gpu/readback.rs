@@ -5,16 +5,13 @@ use std::sync::mpsc;
 use bytemuck::Pod;
 
 use super::device::GpuDevice;
-use super::error::GpuError;
+use crate::GpuError;
 
 #[cfg(test)]
 thread_local! {
     /// How many times this thread has waited for the device.
     pub static WAITS: std::cell::Cell<usize> = const { std::cell::Cell::new(0) };
 }
-
-/// Entries of a buffer: the first of them, and how many.
-pub type Part<'a> = (&'a wgpu::Buffer, usize, usize);
 
 /// Waits for all that was submitted and copies `len` entries, the first of them entry `first`.
 ///
@@ -26,45 +23,44 @@ pub fn read<T: Pod>(
     first: usize,
     len: usize,
 ) -> Result<Vec<T>, GpuError> {
-    let (entries, _) = read_both::<T, u8>(device, (buffer, first, len), (buffer, 0, 0))?;
-    Ok(entries)
+    let size = size_of::<T>();
+    let parts = read_parts(device, &[(buffer, first * size, len * size)])?;
+    Ok(bytemuck::pod_collect_to_vec(&parts.concat()))
 }
 
-/// As [`read`], parts of two buffers at once.
+/// As [`read`], parts of several buffers at once: of each the first byte and how many.
 ///
 /// # Errors
 /// If the device fails.
-pub fn read_both<A: Pod, B: Pod>(
+pub fn read_parts(
     device: &GpuDevice,
-    (a, first_a, len_a): Part<'_>,
-    (b, first_b, len_b): Part<'_>,
-) -> Result<(Vec<A>, Vec<B>), GpuError> {
-    let [size_a, size_b] = [size_of::<A>(), size_of::<B>()];
-    let (bytes_a, bytes_b) = (len_a * size_a, len_b * size_b);
-    if bytes_a + bytes_b == 0 {
-        return Ok((Vec::new(), Vec::new()));
+    parts: &[(&wgpu::Buffer, usize, usize)],
+) -> Result<Vec<Vec<u8>>, GpuError> {
+    let total: usize = parts.iter().map(|(.., bytes)| bytes).sum();
+    if total == 0 {
+        return Ok(vec![Vec::new(); parts.len()]);
     }
-    let landing = Landing::new(device, (bytes_a + bytes_b) as u64)?;
+    let landing = Landing::new(device, total as u64)?;
     let mut encoder = device.encoder();
-    for (buffer, first, at, bytes) in [
-        (a, first_a * size_a, 0, bytes_a),
-        (b, first_b * size_b, bytes_a, bytes_b),
-    ] {
+    let mut at = 0;
+    for (buffer, first, bytes) in parts {
+        let [first, bytes] = [*first, *bytes].map(|x| x as u64);
         if bytes > 0 {
-            let [first, at, bytes] = [first, at, bytes].map(|x| x as u64);
             encoder.copy_buffer_to_buffer(buffer, first, &landing.buffer, at, bytes);
         }
+        at += bytes;
     }
-    let submission = device.queue().submit([encoder.finish()]);
-    let arrival = landing.expect(submission);
-    let (parts, _) = arrival.take(device, |bytes| {
-        let (a, b) = bytes.split_at(bytes_a);
-        (
-            bytemuck::pod_collect_to_vec(a),
-            bytemuck::pod_collect_to_vec(b),
-        )
+    let arrival = landing.expect(device.queue().submit([encoder.finish()]));
+    let (copies, _) = arrival.take(device, |mut rest| {
+        let mut copies = Vec::with_capacity(parts.len());
+        for (.., bytes) in parts {
+            let (part, after) = rest.split_at(*bytes);
+            copies.push(part.to_vec());
+            rest = after;
+        }
+        copies
     })?;
-    Ok(parts)
+    Ok(copies)
 }
 
 /// Memory of the host that the device copies to.

@@ -2,9 +2,9 @@
 
 use super::buffers::Buffers;
 use super::device::GpuDevice;
-use super::error::GpuError;
 use super::layout::{DISPATCH_WORDS, Dispatch};
 use super::timer::StageTimer;
+use crate::GpuError;
 
 /// How many workgroups are dispatched.
 #[derive(Clone, Copy, Debug)]

@@ -6,9 +6,9 @@
 
 use wgpu::naga;
 
-use super::error::GpuError;
 use super::layout::preamble;
 use super::taps::unroll_taps;
+use crate::GpuError;
 
 /// A file of entry points, and the files of functions that it needs, in the order of their use.
 pub struct ShaderFile {
@@ -127,11 +127,16 @@ pub const SHADER_FILES: &[ShaderFile] = &[
         ],
         entry_points: &[
             "count_survivors",
-            "place_kept",
+            "place_survivors",
             "move_survivors",
             "move_rows",
             "move_sets",
         ],
+    },
+    ShaderFile {
+        name: "see_through",
+        parts: &[include_str!("shaders/see_through.wgsl")],
+        entry_points: &["see_through"],
     },
     ShaderFile {
         name: "move_anchored",
@@ -151,7 +156,7 @@ pub const SHADER_FILES: &[ShaderFile] = &[
     ShaderFile {
         name: "rates",
         parts: &[include_str!("shaders/rates.wgsl")],
-        entry_points: &["copy_rows", "multiply_add"],
+        entry_points: &["copy_rows", "multiply_add", "touch"],
     },
 ];
 

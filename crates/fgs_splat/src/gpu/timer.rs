@@ -1,8 +1,8 @@
 //! How long each stage takes on the device, by its own clock.
 
 use super::device::GpuDevice;
-use super::error::GpuError;
 use super::readback;
+use crate::GpuError;
 
 /// Stages of a step, with room to spare.
 const MAX_STAGES: u32 = 64;

@@ -2,16 +2,16 @@
 // sum; a single one finds where each block starts; then each thread knows its own place.
 
 // Leaves the block's sum. To be called by all threads.
-fn count_in_block(value: u32, block: u32, thread: u32) {
-    let sums = workgroup_scan(value, thread);
-    if thread == 0u {
+fn count_in_block(value: u32, block: u32, lane: Lane) {
+    let sums = workgroup_scan(value, lane);
+    if lane.thread == 0u {
         block_sums[block] = sums.y;
     }
 }
 
 // The sum of the values of all threads before this one. To be called by all threads.
-fn place_in_block(value: u32, block: u32, thread: u32) -> u32 {
-    return block_sums[block] + workgroup_scan(value, thread).x;
+fn place_in_block(value: u32, block: u32, lane: Lane) -> u32 {
+    return block_sums[block] + workgroup_scan(value, lane).x;
 }
 
 const BLOCKS_PER_THREAD: u32 = 8u;
@@ -21,19 +21,19 @@ var<workgroup> wrapped: atomic<u32>;
 
 // Replaces each of the first `blocks` sums by the sum of those before it; returns the sum of all,
 // or the largest number if that is less.
-fn scan_block_sums(blocks: u32, thread: u32) -> u32 {
-    if thread == 0u {
+fn scan_block_sums(blocks: u32, lane: Lane) -> u32 {
+    if lane.thread == 0u {
         atomicStore(&wrapped, 0u);
     }
     var before = 0u;
     for (var start = 0u; start < blocks; start += GROUP * BLOCKS_PER_THREAD) {
-        let first = start + thread * BLOCKS_PER_THREAD;
+        let first = start + lane.thread * BLOCKS_PER_THREAD;
         let end = min(first + BLOCKS_PER_THREAD, blocks);
         var sum = 0u;
         for (var block = first; block < end; block += 1u) {
             sum += block_sums[block];
         }
-        let sums = workgroup_scan(sum, thread);
+        let sums = workgroup_scan(sum, lane);
         var next = before + sums.x;
         if next + sum < next {
             atomicStore(&wrapped, 1u);

@@ -7,16 +7,16 @@
 @compute @workgroup_size(GROUP)
 fn covisibility(
     @builtin(workgroup_id) other_set: vec3<u32>,
-    @builtin(local_invocation_index) thread: u32,
+    lane: Lane,
 ) {
     let own = covisibility_.own_set * covisibility_.set_words;
     let other = other_set.x * covisibility_.set_words;
     var shared_bits = 0u;
-    for (var word = thread; word < covisibility_.used_words; word += GROUP) {
+    for (var word = lane.thread; word < covisibility_.used_words; word += GROUP) {
         shared_bits += countOneBits(visible_sets[own + word] & visible_sets[other + word]);
     }
-    let sums = workgroup_scan(shared_bits, thread);
-    if thread == 0u {
+    let sums = workgroup_scan(shared_bits, lane);
+    if lane.thread == 0u {
         overlaps[other_set.x] = sums.y;
     }
 }

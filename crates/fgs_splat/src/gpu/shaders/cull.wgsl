@@ -16,7 +16,7 @@
 fn count_in_view(
     @builtin(global_invocation_id) id: vec3<u32>,
     @builtin(workgroup_id) block: vec3<u32>,
-    @builtin(local_invocation_index) thread: u32,
+    lane: Lane,
 ) {
     let index = id.x;
     var seen = 0u;
@@ -27,14 +27,14 @@ fn count_in_view(
             visible_sets[view.set_start + index / 32u] = 0u;
         }
     }
-    count_in_block(seen, block.x, thread);
+    count_in_block(seen, block.x, lane);
 }
 
 // Where each block's gaussians go; starts the counts of a step.
 @compute @workgroup_size(GROUP)
-fn place_in_view(@builtin(local_invocation_index) thread: u32) {
-    let visible = scan_block_sums((view.count + GROUP - 1u) / GROUP, thread);
-    if thread == 0u {
+fn place_in_view(lane: Lane) {
+    let visible = scan_block_sums((view.count + GROUP - 1u) / GROUP, lane);
+    if lane.thread == 0u {
         counts[VISIBLE] = visible;
         counts[TOUCHED] = 0u;
         counts[SKIPPED] = 0u;

@@ -16,14 +16,14 @@
 fn project(
     @builtin(global_invocation_id) id: vec3<u32>,
     @builtin(workgroup_id) block: vec3<u32>,
-    @builtin(local_invocation_index) thread: u32,
+    lane: Lane,
 ) {
     let index = id.x;
     var seen = false;
     if index < view.count {
         seen = in_view[index] == 1u;
     }
-    let place = place_in_block(u32(seen), block.x, thread);
+    let place = place_in_block(u32(seen), block.x, lane);
     if !seen {
         return;
     }

@@ -11,43 +11,109 @@
 // Bits of the gaussians that contributed to a pixel when each view was last rendered.
 @group(0) @binding(7) var<storage, read_write> visible_sets: array<atomic<u32>>;
 
+// A splat with more slots is summed by the whole workgroup: a single thread would keep the device
+// waiting for it, milliseconds if the splat fills the image.
+const MANY_SLOTS: u32 = 512u;
+// Slots that are fetched together.
+const BATCH: u32 = 2u * GROUP / 4u;
+
+var<workgroup> batch: array<array<vec4<f32>, 4>, BATCH>;
+// First slot and number of slots of each splat that has many, and how many splats that are.
+var<workgroup> large: array<vec2<u32>, GROUP>;
+var<workgroup> large_count: u32;
+var<workgroup> batch_sums: array<vec4<f32>, 4>;
+
+// What a slot adds to one of the four sums: nothing unless a pixel took it. Zero added changes no
+// bit of a sum that began with zero.
+fn addend(row: vec4<f32>, last_row: vec4<f32>) -> vec4<f32> {
+    return select(vec4(0.0), row, last_row.z > 0.0);
+}
+
+// Adds up all of a splat's slots in their order, one after the other, whoever does it.
+fn few(first: u32, number: u32) -> array<vec4<f32>, 4> {
+    var total = array(vec4(0.0), vec4(0.0), vec4(0.0), vec4(0.0));
+    for (var slot = first; slot < first + number; slot += 1u) {
+        let last = sums[slot][3];
+        total[0] += addend(sums[slot][0], last);
+        total[1] += addend(sums[slot][1], last);
+        total[2] += addend(sums[slot][2], last);
+        total[3] += addend(last, last);
+    }
+    return total;
+}
+
+// The same of one of the splats with many, for all threads to call: all fetch, four add.
+fn many(first: u32, number: u32, thread: u32) -> array<vec4<f32>, 4> {
+    let row = thread % 4u;
+    var total = vec4(0.0);
+    for (var start = 0u; start < number; start += BATCH) {
+        let len = min(BATCH, number - start);
+        for (var at = thread / 4u; at < len; at += GROUP / 4u) {
+            batch[at][row] = sums[first + start + at][row];
+        }
+        workgroupBarrier();
+        if thread < 4u {
+            for (var at = 0u; at < len; at += 1u) {
+                total += addend(batch[at][thread], batch[at][3]);
+            }
+        }
+        workgroupBarrier();
+    }
+    if thread < 4u {
+        batch_sums[thread] = total;
+    }
+    workgroupBarrier();
+    let all = batch_sums;
+    workgroupBarrier();
+    return all;
+}
+
 @compute @workgroup_size(GROUP)
-fn project_vjp(
-    @builtin(global_invocation_id) id: vec3<u32>,
-    @builtin(local_invocation_index) thread: u32,
-) {
+fn project_vjp(@builtin(global_invocation_id) id: vec3<u32>, lane: Lane) {
     let index = id.x;
     // Where a rendered value is out of range the gradients mean nothing, but what is seen does.
     let is_void = atomicLoad(&counts[OVERFLOWED]) != 0u;
-    var touched = 0u;
-    if index < atomicLoad(&counts[VISIBLE]) && !is_void {
-        var total = array(vec4(0.0), vec4(0.0), vec4(0.0), vec4(0.0));
-        let first = touches[index].x;
-        for (var slot = first; slot < first + touches[index].y; slot += 1u) {
-            if sums[slot][3].z > 0.0 {
-                total[0] += sums[slot][0];
-                total[1] += sums[slot][1];
-                total[2] += sums[slot][2];
-                total[3] += sums[slot][3];
-            }
-        }
-        touched = u32(total[3].z > 0.0);
-        let gaussian = gaussian_of[index];
-        if touched == 1u {
-            gradients[index] = gradient_of(
-                projection(gaussians[gaussian]), total[0], total[1], total[2], total[3],
-            );
-            let word = gaussian / 32u;
-            let bit = 1u << (gaussian % 32u);
-            if view.set_start != NONE {
-                atomicOr(&visible_sets[view.set_start + word], bit);
-            }
-        } else {
-            gradients[index].touched = 0u;
+    let is_splat = index < atomicLoad(&counts[VISIBLE]) && !is_void;
+    var slots = vec2(0u);
+    if is_splat {
+        slots = touches[index];
+    }
+    let is_large = slots.y > MANY_SLOTS;
+    let large_places = workgroup_scan(u32(is_large), lane);
+    if is_large {
+        large[large_places.x] = slots;
+    }
+    if lane.thread == 0u {
+        large_count = large_places.y;
+    }
+    var total = array(vec4(0.0), vec4(0.0), vec4(0.0), vec4(0.0));
+    if !is_large {
+        total = few(slots.x, slots.y);
+    }
+    // A barrier on either side.
+    let count = workgroupUniformLoad(&large_count);
+    for (var i = 0u; i < count; i += 1u) {
+        let of_large = workgroupUniformLoad(&large[i]);
+        let sum = many(of_large.x, of_large.y, lane.thread);
+        if is_large && i == large_places.x {
+            total = sum;
         }
     }
-    let all = workgroup_scan(touched, thread).y;
-    if thread == 0u {
+    let touched = u32(is_splat && total[3].z > 0.0);
+    if touched == 1u {
+        let gaussian = gaussian_of[index];
+        gradients[index] = gradient_of(
+            projection(gaussians[gaussian]), total[0], total[1], total[2], total[3],
+        );
+        if view.set_start != NONE {
+            let word = view.set_start + gaussian / 32u;
+            atomicOr(&visible_sets[word], 1u << (gaussian % 32u));
+        }
+    } else if is_splat {
+        gradients[index].touched = 0u;
+    }
+    let all = workgroup_scan(touched, lane).y;
+    if lane.thread == 0u {
         atomicAdd(&counts[TOUCHED], all);
     }
 }

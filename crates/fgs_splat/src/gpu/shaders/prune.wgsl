@@ -4,10 +4,10 @@
 @group(0) @binding(1) var<storage, read> gaussians: array<Gaussian>;
 @group(0) @binding(2) var<storage, read_write> block_sums: array<u32>;
 @group(0) @binding(3) var<storage, read_write> counts: array<u32>;
-// Where each gaussian goes, NONE if it is removed.
+// At first 1 for each gaussian that survives; then where it goes, NONE if it is removed.
 @group(0) @binding(4) var<storage, read_write> new_from_old: array<u32>;
 @group(0) @binding(5) var<storage, read_write> moved_gaussians: array<Gaussian>;
-// The names of the removed ones in the sparse map, in their order.
+// The names in the sparse map of those that are removed, in their order.
 @group(0) @binding(6) var<storage, read_write> removed_ids: array<u32>;
 @group(0) @binding(7) var<storage, read> rows: array<array<vec4<f32>, 4>>;
 @group(0) @binding(8) var<storage, read_write> moved_rows: array<array<vec4<f32>, 4>>;
@@ -40,44 +40,57 @@ fn survives(gaussian: Gaussian) -> bool {
 fn count_survivors(
     @builtin(global_invocation_id) id: vec3<u32>,
     @builtin(workgroup_id) block: vec3<u32>,
-    @builtin(local_invocation_index) thread: u32,
+    lane: Lane,
 ) {
+    let index = id.x;
+    // After a step that is void nothing may change: the host will ask again.
+    let is_void = counts[OVERFLOWED] != 0u || counts[OUT_OF_RANGE] != 0u;
     var kept = 0u;
-    if id.x < rule.count {
-        kept = u32(survives(gaussians[id.x]));
+    if index < rule.count {
+        // Without an anchor it was pruned before, which the host has not heard of.
+        kept = u32(is_void || (anchors[index] != NONE && survives(gaussians[index])));
+        new_from_old[index] = kept;
     }
-    count_in_block(kept, block.x, thread);
+    count_in_block(kept, block.x, lane);
 }
 
 @compute @workgroup_size(GROUP)
-fn place_kept(@builtin(local_invocation_index) thread: u32) {
-    let kept = scan_block_sums((rule.count + GROUP - 1u) / GROUP, thread);
-    if thread == 0u {
+fn place_survivors(lane: Lane) {
+    let kept = scan_block_sums((rule.count + GROUP - 1u) / GROUP, lane);
+    if lane.thread == 0u {
         counts[KEPT] = kept;
     }
 }
 
+// Those that are removed stay behind the others, never drawn: the host counts on them until it hears
+// how many there are.
 @compute @workgroup_size(GROUP)
 fn move_survivors(
     @builtin(global_invocation_id) id: vec3<u32>,
     @builtin(workgroup_id) block: vec3<u32>,
-    @builtin(local_invocation_index) thread: u32,
+    lane: Lane,
 ) {
     let index = id.x;
     var kept = false;
     if index < rule.count {
-        kept = survives(gaussians[index]);
+        kept = new_from_old[index] == 1u;
     }
-    let place = place_in_block(u32(kept), block.x, thread);
+    let place = place_in_block(u32(kept), block.x, lane);
     if index >= rule.count {
         return;
     }
+    var gaussian = gaussians[index];
     if kept {
-        moved_gaussians[place] = gaussians[index];
+        moved_gaussians[place] = gaussian;
         moved_anchors[place] = anchors[index];
         new_from_old[index] = place;
     } else {
-        removed_ids[index - place] = gaussians[index].sparse_id;
+        let behind = index - place;
+        removed_ids[behind] = gaussian.sparse_id;
+        gaussian.sparse_id = NONE;
+        gaussian.opacity_logit = -80.0;
+        moved_gaussians[counts[KEPT] + behind] = gaussian;
+        moved_anchors[counts[KEPT] + behind] = NONE;
         new_from_old[index] = NONE;
     }
 }

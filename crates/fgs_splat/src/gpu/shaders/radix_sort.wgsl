@@ -28,43 +28,43 @@ var<workgroup> histogram: array<atomic<u32>, GROUP>;
 @compute @workgroup_size(GROUP)
 fn count_digits(
     @builtin(workgroup_id) block: vec3<u32>,
-    @builtin(local_invocation_index) thread: u32,
+    lane: Lane,
 ) {
     let count = counts[pass_.count];
-    atomicStore(&histogram[thread], 0u);
+    atomicStore(&histogram[lane.thread], 0u);
     workgroupBarrier();
     for (var round = 0u; round < ROUNDS; round += 1u) {
-        let at = block.x * SORT_BLOCK + round * GROUP + thread;
+        let at = block.x * SORT_BLOCK + round * GROUP + lane.thread;
         if at < count {
             atomicAdd(&histogram[digit_of(keys_in[at])], 1u);
         }
     }
     workgroupBarrier();
-    digit_counts[thread * block_count() + block.x] = atomicLoad(&histogram[thread]);
+    digit_counts[lane.thread * block_count() + block.x] = atomicLoad(&histogram[lane.thread]);
 }
 
 // A workgroup for each digit.
 @compute @workgroup_size(GROUP)
 fn place_digits(
     @builtin(workgroup_id) digit: vec3<u32>,
-    @builtin(local_invocation_index) thread: u32,
+    lane: Lane,
 ) {
     let blocks = block_count();
     var before = 0u;
     for (var start = 0u; start < blocks; start += GROUP) {
-        let block = start + thread;
+        let block = start + lane.thread;
         let at = digit.x * blocks + block;
         var own = 0u;
         if block < blocks {
             own = digit_counts[at];
         }
-        let sums = workgroup_scan(own, thread);
+        let sums = workgroup_scan(own, lane);
         if block < blocks {
             digit_counts[at] = before + sums.x;
         }
         before += sums.y;
     }
-    if thread == 0u {
+    if lane.thread == 0u {
         digit_totals[digit.x] = before;
     }
 }
@@ -77,19 +77,19 @@ var<workgroup> holders: array<array<atomic<u32>, GROUP>, WORDS>;
 @compute @workgroup_size(GROUP)
 fn move_keys(
     @builtin(workgroup_id) block: vec3<u32>,
-    @builtin(local_invocation_index) thread: u32,
+    lane: Lane,
 ) {
     let count = counts[pass_.count];
-    next[thread] = workgroup_scan(digit_totals[thread], thread).x
-        + digit_counts[thread * block_count() + block.x];
+    next[lane.thread] = workgroup_scan(digit_totals[lane.thread], lane).x
+        + digit_counts[lane.thread * block_count() + block.x];
     for (var word = 0u; word < WORDS; word += 1u) {
-        atomicStore(&holders[word][thread], 0u);
+        atomicStore(&holders[word][lane.thread], 0u);
     }
     workgroupBarrier();
-    let own_word = thread / 32u;
-    let own_bit = 1u << (thread % 32u);
+    let own_word = lane.thread / 32u;
+    let own_bit = 1u << (lane.thread % 32u);
     for (var round = 0u; round < ROUNDS; round += 1u) {
-        let at = block.x * SORT_BLOCK + round * GROUP + thread;
+        let at = block.x * SORT_BLOCK + round * GROUP + lane.thread;
         let is_key = at < count;
         var key = 0u;
         var value = 0u;
@@ -112,9 +112,9 @@ fn move_keys(
         workgroupBarrier();
         var held = 0u;
         for (var word = 0u; word < WORDS; word += 1u) {
-            held += countOneBits(atomicExchange(&holders[word][thread], 0u));
+            held += countOneBits(atomicExchange(&holders[word][lane.thread], 0u));
         }
-        next[thread] += held;
+        next[lane.thread] += held;
         workgroupBarrier();
     }
 }

@@ -20,13 +20,13 @@
 fn count_touches(
     @builtin(global_invocation_id) id: vec3<u32>,
     @builtin(workgroup_id) block: vec3<u32>,
-    @builtin(local_invocation_index) thread: u32,
+    lane: Lane,
 ) {
     var number = 0u;
     if id.x < counts[VISIBLE] {
         number = touches[order[id.x]].y;
     }
-    count_in_block(number, block.x, thread);
+    count_in_block(number, block.x, lane);
 }
 
 var<workgroup> visible: u32;
@@ -34,13 +34,13 @@ var<workgroup> visible: u32;
 // Where each block's touches go. Touches that do not fit void the step, and all after it until
 // there is more room.
 @compute @workgroup_size(GROUP)
-fn place_touches(@builtin(local_invocation_index) thread: u32) {
-    if thread == 0u {
+fn place_touches(lane: Lane) {
+    if lane.thread == 0u {
         visible = counts[VISIBLE];
     }
     let blocks = (workgroupUniformLoad(&visible) + GROUP - 1u) / GROUP;
-    let needed = scan_block_sums(blocks, thread);
-    if thread == 0u {
+    let needed = scan_block_sums(blocks, lane);
+    if lane.thread == 0u {
         if needed > view.capacity {
             counts[OVERFLOWED] = 1u;
         }
@@ -57,7 +57,7 @@ fn place_touches(@builtin(local_invocation_index) thread: u32) {
 fn write_touches(
     @builtin(global_invocation_id) id: vec3<u32>,
     @builtin(workgroup_id) block: vec3<u32>,
-    @builtin(local_invocation_index) thread: u32,
+    lane: Lane,
 ) {
     let is_splat = id.x < counts[VISIBLE];
     var index = 0u;
@@ -66,7 +66,7 @@ fn write_touches(
         index = order[id.x];
         number = touches[index].y;
     }
-    let first = place_in_block(number, block.x, thread);
+    let first = place_in_block(number, block.x, lane);
     if !is_splat || counts[ENTRIES] == 0u {
         return;
     }

@@ -1,11 +1,18 @@
 // Prefix sums over the GROUP threads of a workgroup, which fill its subgroups in order.
 
+// A thread's place in its workgroup, and how many threads a full subgroup has.
+struct Lane {
+    @builtin(local_invocation_index) thread: u32,
+    @builtin(subgroup_size) subgroup_size: u32,
+}
+
 var<workgroup> subgroup_sums: array<u32, GROUP>;
 
 // The sum of the values of the threads before this one, and of all. To be called by all threads.
-fn workgroup_scan(value: u32, thread: u32) -> vec2<u32> {
+fn workgroup_scan(value: u32, lane: Lane) -> vec2<u32> {
+    let thread = lane.thread;
     let inclusive = subgroupInclusiveAdd(value);
-    let size = subgroupAdd(1u);
+    let size = lane.subgroup_size;
     let own = thread / size;
     if thread % size == size - 1u {
         subgroup_sums[own] = inclusive;

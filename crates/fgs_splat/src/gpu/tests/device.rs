@@ -30,7 +30,7 @@ pub fn device() -> Option<GpuDevice> {
 
 /// A device whose stages are made like that.
 pub fn open(options: impl Fn(wgpu::Features) -> StageOptions) -> Option<GpuDevice> {
-    match GpuDevice::open(true, options) {
+    match GpuDevice::open(true, None, options) {
         Ok(device) => Some(device),
         Err(crate::GpuError::NoAdapter(_)) => None,
         Err(error) => panic!("{error}"),

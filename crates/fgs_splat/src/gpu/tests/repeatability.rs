@@ -7,13 +7,14 @@ use super::device::{device, open};
 use super::scenes::{random_target, seeds};
 use crate::cpu::tests::scenes::{random_gaussians, random_view, rng, to_f32};
 use crate::gpu::gpu_model::GpuModel;
+use crate::gpu::scan_check::scans_in_order;
 use crate::gpu::stage::StageOptions;
 use crate::{GaussianModel, Gaussians, GpuDevice, ModelSettings, PruneRule, StepStats};
 
 /// A short life of a map: two views, steps, new gaussians, pruning.
 fn live(device: GpuDevice) -> (Gaussians, Vec<StepStats>) {
     let mut rng = rng(5);
-    let mut model = GpuModel::new(device, ModelSettings::default(), 1).unwrap();
+    let mut model = GpuModel::with_room(device, &ModelSettings::default(), 1, 1 << 16).unwrap();
     let views = [(90, 60), (33, 70)].map(|(width, height)| random_view(&mut rng, width, height));
     for round in 0..3 {
         let view = views[round % 2];
@@ -42,7 +43,8 @@ fn the_same_bits_every_time() {
     let Some(device) = device() else {
         return;
     };
-    assert!(device.scans_in_order().unwrap());
+    let stage = device.stage("check_scan").unwrap();
+    assert!(scans_in_order(device.raw(), device.queue(), stage).unwrap());
     let first = live(device.clone());
     assert_eq!(first.1.len(), 12);
     for _ in 0..3 {

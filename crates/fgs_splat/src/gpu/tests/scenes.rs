@@ -119,7 +119,7 @@ pub fn random_target(rng: &mut Pcg64Mcg, view: &View) -> Target {
 
 /// A model that holds the scene's gaussians; `None` if there is no device.
 pub fn model_of(scene: &Scene, settings: &ModelSettings) -> Option<GpuModel> {
-    let mut model = GpuModel::new(device()?, settings.clone(), 8).unwrap();
+    let mut model = GpuModel::new(device()?, settings).unwrap();
     model
         .insert(&seeds(&scene.gaussians), KeyframeId(0))
         .unwrap();

@@ -7,7 +7,8 @@ use nalgebra::Vector6;
 
 use super::scenes::{Scene, model_of, random_target, scenes};
 use crate::cpu::tests::inspect;
-use crate::cpu::tests::scenes::{random_view, rng};
+use crate::cpu::tests::scenes::{random_gaussians, random_view, rng, to_f32};
+use crate::gaussians::SH0_FACTOR;
 use crate::gpu::gpu_model::GpuModel;
 use crate::gpu::layout::{self, Count, TILE};
 use crate::gpu::readback::read;
@@ -17,8 +18,8 @@ use crate::{
 };
 
 fn fetch<T: bytemuck::Pod>(model: &GpuModel, name: &str, len: usize) -> Vec<T> {
-    let buffer = model.buffers.get(name).unwrap();
-    read(&model.device, buffer, 0, len).unwrap()
+    let buffer = model.work.map.buffers.get(name).unwrap();
+    read(model.work.map.device(), buffer, 0, len).unwrap()
 }
 
 /// Runs `check` on every scene after a pass forward and backward with a random target. What the
@@ -45,8 +46,8 @@ fn on_all_scenes(check: impl Fn(&Scene, &crate::Target, &GpuModel, &[u32])) {
         let [other_id, id] = [0, 1].map(KeyframeId);
         model.add_view(other_id, other, other_target).unwrap();
         model.add_view(id, scene.view, target.clone()).unwrap();
-        model.see_again(other_id).unwrap();
-        let counts = model.see_again(id).unwrap();
+        model.work.find_visible(other_id).unwrap();
+        let counts = model.work.find_visible(id).unwrap();
         check(&scene, &target, &model, &counts);
     }
 }
@@ -298,4 +299,53 @@ fn every_gradient_is_the_cpus() {
                 .collect(),
         );
     });
+}
+
+/// The workgroup adds up what a large gaussian left in its tiles: in their order, to the last bit.
+#[test]
+fn sums_of_few_slots_and_of_many_are_added_in_their_order() {
+    let mut rng = rng(55);
+    let view = random_view(&mut rng, 320, 240);
+    let mut gaussians = to_f32(&random_gaussians(&mut rng, &view, 600));
+    for i in (0..600).step_by(50) {
+        gaussians.log_scales[i] = [0.5; 3];
+        gaussians.opacity_logits[i] = -3.0;
+    }
+    gaussians.log_scales[51] = [-1.0; 3];
+    gaussians.sh.fill([0.3; 3]);
+    let scene = Scene {
+        name: "large ones among small ones",
+        view,
+        gaussians,
+    };
+    let Some(mut model) = model_of(&scene, &ModelSettings::default()) else {
+        return;
+    };
+    let id = KeyframeId(0);
+    let target = random_target(&mut rng, &view);
+    model.add_view(id, view, target).unwrap();
+    let counts = model.work.find_visible(id).unwrap();
+    let visible = counts[Count::VISIBLE as usize] as usize;
+    let entries = counts[Count::ENTRIES as usize] as usize;
+    let touches: Vec<[u32; 2]> = fetch(&model, "touches", visible);
+    let sums: Vec<[[f32; 4]; 4]> = fetch(&model, "sums", entries);
+    let gradients: Vec<layout::Gradient> = fetch(&model, "gradients", visible);
+    let (mut large, mut small) = (0, 0);
+    for ([first, number], gradient) in touches.iter().zip(&gradients) {
+        let slots = &sums[*first as usize..(first + number) as usize];
+        let taken = || slots.iter().filter(|slot| slot[3][2] > 0.0);
+        assert_eq!(gradient.touched == 1, taken().count() > 0);
+        if gradient.touched == 0 {
+            continue;
+        }
+        for color in 0..3 {
+            let sum = taken().fold(0.0, |sum, slot| sum + slot[0][color]);
+            let expected = (SH0_FACTOR as f32) * sum;
+            assert_eq!(gradient.sh[color].to_bits(), expected.to_bits());
+        }
+        let many = *number > 512;
+        large += usize::from(many);
+        small += usize::from(!many);
+    }
+    assert!(large > 3 && small > 100, "{large} {small}");
 }

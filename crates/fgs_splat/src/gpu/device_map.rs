@@ -1,0 +1,273 @@
+//! The map on the device: gaussians with their anchors and Adam's moments, and what changes them all:
+//! insertion, rigid motions and pruning. Steps are `work_queue`'s.
+//!
+//! A call that submits work behind steps in flight changes nothing if one of those turns out void;
+//! the queue repeats it then.
+
+use fgs_geom::KeyframeId;
+
+use super::buffers::Buffers;
+use super::device::GpuDevice;
+use super::layout::{self, Count, Gaussian, NONE};
+use super::parameters::{from_device, to_device};
+use super::passes::{groups, workgroups};
+use super::readback::{Arrival, Landing, read};
+use super::recorder::{Groups, Recorder};
+use super::timer::StageTimer;
+use crate::Gaussians;
+use crate::GpuError;
+use crate::adam::Corrections;
+use crate::model::{ModelSettings, PruneRule, Seeds, SparseId};
+
+/// Gaussians on a device.
+pub struct DeviceMap {
+    device: GpuDevice,
+    pub buffers: Buffers,
+    count: usize,
+}
+
+/// A pruning whose result is on its way to the host.
+pub struct Pruning {
+    /// The counts, then the names of removed gaussians.
+    removed: Arrival,
+    /// The gaussians that stayed, then others.
+    gaussians: Arrival,
+}
+
+impl DeviceMap {
+    /// An empty map, with room for so many entries of the tiles' lists at first.
+    ///
+    /// # Errors
+    /// If the device's memory does not suffice.
+    pub fn new(
+        device: GpuDevice,
+        settings: &ModelSettings,
+        entries: usize,
+    ) -> Result<Self, GpuError> {
+        let mut map = Self {
+            buffers: Buffers::new(&device, entries)?,
+            device,
+            count: 0,
+        };
+        let rates = &settings.learning_rates;
+        let optimizer = layout::Optimizer {
+            means: rates.means,
+            quats: rates.quats,
+            log_scales: rates.log_scales,
+            opacity_logits: rates.opacity_logits,
+            sh: rates.sh,
+            scale_weight: settings.loss.scale_weight,
+        };
+        map.write("optimizer", bytemuck::bytes_of(&optimizer))?;
+        let corrections: Vec<[f32; 2]> = Corrections::table()
+            .iter()
+            .map(|correction| [correction.first, correction.second_root])
+            .collect();
+        let corrections = map.device.buffer_of("corrections", &corrections);
+        map.buffers.set("corrections", corrections);
+        Ok(map)
+    }
+
+    /// The device that it lies on.
+    pub fn device(&self) -> &GpuDevice {
+        &self.device
+    }
+
+    /// Number of gaussians, those included that are pruned but not known to be.
+    pub fn len(&self) -> usize {
+        self.count
+    }
+
+    /// Overwrites the start of a buffer.
+    ///
+    /// # Errors
+    /// If there is no such buffer.
+    pub fn write(&self, name: &str, bytes: &[u8]) -> Result<(), GpuError> {
+        let buffer = self.buffers.get(name)?;
+        self.device.queue().write_buffer(buffer, 0, bytes);
+        Ok(())
+    }
+
+    /// For commands on the map's buffers.
+    pub fn recorder<'a>(&'a mut self, timer: Option<&'a mut StageTimer>) -> Recorder<'a> {
+        Recorder::new(&self.device, &mut self.buffers, timer)
+    }
+
+    /// Adds gaussians whose arrays have one length. Nothing may be in flight.
+    ///
+    /// # Errors
+    /// If the device fails or its memory does not suffice.
+    pub fn insert(&mut self, seeds: &Seeds, anchor: KeyframeId) -> Result<(), GpuError> {
+        let added = seeds.sparse_ids.len();
+        let count = self.count + added;
+        self.buffers.make_room_for_gaussians(count, self.count)?;
+        let row = size_of::<Gaussian>() as u64;
+        let (start, bytes) = (row * self.count as u64, row * added as u64);
+        let mut encoder = self.device.encoder();
+        for moments in ["first_moments", "second_moments"] {
+            encoder.clear_buffer(self.buffers.get(moments)?, start, Some(bytes));
+        }
+        let queue = self.device.queue();
+        queue.submit([encoder.finish()]);
+        let (rows, anchors) = (to_device(seeds), vec![anchor.0; added]);
+        let gaussians = self.buffers.get("gaussians")?;
+        queue.write_buffer(gaussians, start, bytemuck::cast_slice(&rows));
+        let start = size_of::<u32>() as u64 * self.count as u64;
+        let buffer = self.buffers.get("anchors")?;
+        queue.write_buffer(buffer, start, bytemuck::cast_slice(&anchors));
+        self.count = count;
+        self.device.check()
+    }
+
+    /// Submits motions, by ascending anchor.
+    ///
+    /// # Errors
+    /// If the device fails.
+    pub fn move_anchored(&mut self, motions: &[layout::Motion]) -> Result<(), GpuError> {
+        self.device.check()?;
+        let buffer = self.device.buffer_of("motions", motions);
+        self.buffers.replace("motions", buffer);
+        let by_gaussian = groups(self.count);
+        let mut recorder = self.recorder(None);
+        recorder.run("move_anchored", by_gaussian)?;
+        recorder.submit();
+        Ok(())
+    }
+
+    /// Submits a pruning. The gaussians that stay move together at the front; the others remain
+    /// behind them, never drawn, until [`DeviceMap::finish_pruning`].
+    ///
+    /// # Errors
+    /// If the device fails or its memory does not suffice.
+    pub fn prune(&mut self, rule: &PruneRule) -> Result<Pruning, GpuError> {
+        self.device.check()?;
+        let rule = layout::Prune {
+            count: self.count as u32,
+            set_words: self.buffers.set_words() as u32,
+            min_opacity: rule.min_opacity,
+            max_log_scale: rule.max_scale_m.ln(),
+            max_log_aspect: rule.max_aspect.ln(),
+        };
+        self.write("rule", bytemuck::bytes_of(&rule))?;
+        self.sort_out()?;
+
+        let id_bytes = 4 * self.count as u64;
+        let count_bytes = 4 * Count::ALL.len() as u64;
+        let gaussian_bytes = (size_of::<Gaussian>() * self.count) as u64;
+        let removed = Landing::new(&self.device, count_bytes + id_bytes)?;
+        let gaussians = Landing::new(&self.device, gaussian_bytes)?;
+        let mut encoder = self.device.encoder();
+        for (buffer, landing, at, bytes) in [
+            ("counts", &removed, 0, count_bytes),
+            ("order", &removed, count_bytes, id_bytes),
+            ("gaussians", &gaussians, 0, gaussian_bytes),
+        ] {
+            let buffer = self.buffers.get(buffer)?;
+            encoder.copy_buffer_to_buffer(buffer, 0, landing.buffer(), at, bytes);
+        }
+        let submission = self.device.queue().submit([encoder.finish()]);
+        Ok(Pruning {
+            removed: removed.expect(submission.clone()),
+            gaussians: gaussians.expect(submission),
+        })
+    }
+
+    /// Waits for a pruning that took effect and lets go of what it removed. Returns the names of
+    /// those that were of the sparse map, and all gaussians that are left.
+    ///
+    /// # Errors
+    /// If the device fails.
+    pub fn finish_pruning(
+        &mut self,
+        pruning: Pruning,
+    ) -> Result<(Vec<SparseId>, Gaussians), GpuError> {
+        let (words, _) = pruning
+            .removed
+            .take(&self.device, bytemuck::pod_collect_to_vec::<u8, u32>)?;
+        let (counts, ids) = words.split_at(Count::ALL.len());
+        let kept = counts[Count::KEPT as usize] as usize;
+        let removed = ids[..ids.len() - kept].iter().filter(|id| **id != NONE);
+        let (rows, _) = pruning
+            .gaussians
+            .take(&self.device, bytemuck::pod_collect_to_vec::<u8, Gaussian>)?;
+        self.count = kept;
+        Ok((
+            removed.map(|id| SparseId(*id)).collect(),
+            from_device(&rows[..kept]),
+        ))
+    }
+
+    /// Waits for a pruning that was void.
+    ///
+    /// # Errors
+    /// If the device fails.
+    pub fn forget_pruning(&self, pruning: Pruning) -> Result<(), GpuError> {
+        pruning.removed.take(&self.device, |_| ())?;
+        pruning.gaussians.take(&self.device, |_| ())?;
+        Ok(())
+    }
+
+    /// Moves the gaussians that survive to the front, in their order, and all that belongs to them.
+    fn sort_out(&mut self) -> Result<(), GpuError> {
+        const NEW_PLACES: (&str, &str) = ("new_from_old", "depth_keys");
+        let by_gaussian = groups(self.count);
+        let by_word = Groups::Fixed(
+            workgroups(self.count.div_ceil(32)),
+            self.buffers.sets() as u32,
+        );
+        let moved_sets = self.buffers.empty_sets()?;
+        self.buffers.set("moved_sets", moved_sets);
+
+        let mut recorder = self.recorder(None);
+        recorder.run_as("count_survivors", 0, &[NEW_PLACES], by_gaussian)?;
+        recorder.run("place_survivors", Groups::Fixed(1, 1))?;
+        let aliases = [
+            NEW_PLACES,
+            ("moved_gaussians", "gradients"),
+            ("moved_anchors", "in_view"),
+            ("removed_ids", "order"),
+        ];
+        recorder.run_as("move_survivors", 0, &aliases, by_gaussian)?;
+        recorder.run_as("move_sets", 0, &[NEW_PLACES], by_word)?;
+        recorder.submit();
+        self.buffers.swap("gaussians", "gradients");
+        self.buffers.swap("anchors", "in_view");
+        for moments in ["first_moments", "second_moments"] {
+            let mut recorder = self.recorder(None);
+            let aliases = [NEW_PLACES, ("rows", moments), ("moved_rows", "gradients")];
+            recorder.run_as("move_rows", 0, &aliases, by_gaussian)?;
+            recorder.submit();
+            self.buffers.swap(moments, "gradients");
+        }
+        self.buffers.swap("visible_sets", "moved_sets");
+        self.buffers.remove("moved_sets");
+        Ok(())
+    }
+
+    /// Waits for the device and copies all gaussians.
+    ///
+    /// # Errors
+    /// If the device fails.
+    pub fn gaussians(&self) -> Result<Gaussians, GpuError> {
+        let buffer = self.buffers.get("gaussians")?;
+        let rows: Vec<Gaussian> = read(&self.device, buffer, 0, self.count)?;
+        Ok(from_device(&rows))
+    }
+
+    /// Lets passes change things again after one for which there was no room.
+    ///
+    /// # Errors
+    /// If the device fails.
+    pub fn clear_counts(&self) -> Result<(), GpuError> {
+        self.write("counts", &[0; 4 * Count::ALL.len()])
+    }
+
+    /// Room for that many entries of the tiles' lists, and for some more.
+    ///
+    /// # Errors
+    /// If the device's memory does not suffice.
+    pub fn make_room_for_entries(&mut self, entries: u32) -> Result<(), GpuError> {
+        let entries = entries as usize;
+        self.buffers.make_room_for_entries(entries + entries / 4)
+    }
+}

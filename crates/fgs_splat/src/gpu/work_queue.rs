@@ -1,0 +1,287 @@
+//! What was asked of the device and has not been heard of: steps, motions and prunings, in order.
+//!
+//! A step that finds no room for the tiles' lists changes nothing, and neither does anything after it,
+//! until the host hears of it, makes room and repeats all of it in order. So results depend on nothing
+//! but the calls and the device.
+
+use std::collections::VecDeque;
+
+use fgs_geom::{KeyframeId, View};
+
+use super::device_map::{DeviceMap, Pruning};
+use super::images;
+use super::layout::{self, Count};
+use super::passes::{loss_uniform, view_uniform};
+use super::readback::{Arrival, Landing};
+use super::timer::StageTimer;
+use super::training_views::TrainingViews;
+use crate::GpuError;
+use crate::model::{ModelError, PruneRule, SparseId, StepStats};
+use crate::{Cotangents, Gaussians, LossSettings, photometric_loss};
+
+/// How much the device may be behind the host: enough that it never runs out of work.
+const MAX_IN_FLIGHT: usize = 4;
+
+/// What the device can be asked to do without waiting for it.
+pub enum Work {
+    /// A step on a keyframe's view, from where the camera was then.
+    Step(KeyframeId, View),
+    /// By ascending anchor.
+    Move(Vec<layout::Motion>),
+    Prune(PruneRule),
+}
+
+/// How the device reports it.
+enum Report {
+    /// The counts.
+    Step(Arrival),
+    /// It does not: it happened if all before it did.
+    Move,
+    Prune(Pruning),
+}
+
+/// The map, its views, and what was asked of the device.
+pub struct WorkQueue {
+    pub map: DeviceMap,
+    pub views: TrainingViews,
+    loss: LossSettings,
+    in_flight: VecDeque<(Work, Report)>,
+    landings: Vec<Landing>,
+    repeated_steps: usize,
+    /// Statistics of finished steps.
+    pub stats: Vec<StepStats>,
+    /// Pruned gaussians of the sparse map that have not been reported.
+    pub removed: Vec<SparseId>,
+    /// The map as the host last knew it, for when the device is lost.
+    pub last_known: Gaussians,
+}
+
+impl WorkQueue {
+    /// Nothing to do.
+    pub fn new(map: DeviceMap, views: TrainingViews, loss: LossSettings) -> Self {
+        Self {
+            map,
+            views,
+            loss,
+            in_flight: VecDeque::new(),
+            landings: Vec::new(),
+            repeated_steps: 0,
+            stats: Vec::new(),
+            removed: Vec::new(),
+            last_known: Gaussians::default(),
+        }
+    }
+
+    /// How many steps found no room and were repeated.
+    pub fn repeated_steps(&self) -> usize {
+        self.repeated_steps
+    }
+
+    /// How much was asked of the device and has not been heard of.
+    #[cfg(test)]
+    pub fn in_flight(&self) -> usize {
+        self.in_flight.len()
+    }
+
+    /// Asks for something, once the device is not too far behind.
+    ///
+    /// # Errors
+    /// If a step's view does not exist, an earlier step found damaged values, or the device fails.
+    pub fn push(&mut self, work: Work) -> Result<(), ModelError> {
+        if self.in_flight.len() >= MAX_IN_FLIGHT {
+            self.retire()?;
+        }
+        self.submit(work, None)
+    }
+
+    /// Asks for a step whose stages are timed.
+    ///
+    /// # Errors
+    /// As of [`WorkQueue::push`].
+    pub fn push_timed(
+        &mut self,
+        id: KeyframeId,
+        view: View,
+        timer: &mut StageTimer,
+    ) -> Result<(), ModelError> {
+        self.submit(Work::Step(id, view), Some(timer))
+    }
+
+    /// Waits for everything.
+    ///
+    /// # Errors
+    /// If a step found damaged values, or the device fails.
+    pub fn finish(&mut self) -> Result<(), ModelError> {
+        while !self.in_flight.is_empty() {
+            self.retire()?;
+        }
+        Ok(())
+    }
+
+    /// Finds which gaussians a view shows: the backward pass tells which ones a pixel took. Nothing
+    /// may be in flight. Returns the counts.
+    ///
+    /// # Errors
+    /// If there is no such view, or the device fails.
+    pub fn find_visible(&mut self, id: KeyframeId) -> Result<Vec<u32>, ModelError> {
+        let view = self.views.get(id)?.view;
+        let (uniform, loss, set) = self.look_at(id, &view)?;
+        let (counts, []) = images::run(
+            &mut self.map,
+            &uniform,
+            |recorder| recorder.backward(&uniform, &loss, set),
+            [],
+        )?;
+        Ok(counts)
+    }
+
+    /// Writes what the stages need to know of a keyframe's view. Returns its set, too.
+    fn look_at(
+        &mut self,
+        id: KeyframeId,
+        view: &View,
+    ) -> Result<(layout::View, layout::Loss, u32), ModelError> {
+        let map = &mut self.map;
+        map.buffers
+            .make_room_for_image(view.camera.width, view.camera.height)?;
+        let device = map.device().clone();
+        let training = self.views.require(&device, &mut map.buffers, id)?;
+        let uniform = layout::View {
+            set_start: training.set * map.buffers.set_words() as u32,
+            ..view_uniform(view, map.len(), map.buffers.entries())
+        };
+        let loss = loss_uniform(&self.loss, &training.target);
+        map.write("loss", bytemuck::bytes_of(&loss))?;
+        Ok((uniform, loss, training.set))
+    }
+
+    fn submit(&mut self, work: Work, timer: Option<&mut StageTimer>) -> Result<(), ModelError> {
+        let report = match &work {
+            Work::Step(id, view) => Report::Step(self.submit_step(*id, view, timer)?),
+            Work::Move(motions) => {
+                self.map.move_anchored(motions)?;
+                Report::Move
+            }
+            Work::Prune(rule) => Report::Prune(self.map.prune(rule)?),
+        };
+        self.in_flight.push_back((work, report));
+        Ok(())
+    }
+
+    fn submit_step(
+        &mut self,
+        id: KeyframeId,
+        view: &View,
+        timer: Option<&mut StageTimer>,
+    ) -> Result<Arrival, ModelError> {
+        self.map.device().check()?;
+        let (uniform, loss, set) = self.look_at(id, view)?;
+        self.map.write("view", bytemuck::bytes_of(&uniform))?;
+        let bytes = 4 * Count::ALL.len() as u64;
+        let landing = match self.landings.pop() {
+            Some(landing) => landing,
+            None => Landing::new(self.map.device(), bytes)?,
+        };
+        let mut recorder = self.map.recorder(timer);
+        recorder.forward(&uniform)?;
+        recorder.backward(&uniform, &loss, set)?;
+        recorder.optimize()?;
+        let counts = recorder.buffers.get("counts")?.clone();
+        recorder
+            .encoder()
+            .copy_buffer_to_buffer(&counts, 0, landing.buffer(), 0, bytes);
+        Ok(landing.expect(recorder.submit()))
+    }
+
+    /// Waits for the oldest of what is in flight.
+    fn retire(&mut self) -> Result<(), ModelError> {
+        match self.in_flight.pop_front() {
+            Some((Work::Step(id, view), Report::Step(counts))) => {
+                self.retire_step(id, view, counts)
+            }
+            Some((_, Report::Prune(pruning))) => {
+                let (removed, gaussians) = self.map.finish_pruning(pruning)?;
+                self.removed.extend(removed);
+                self.last_known = gaussians;
+                Ok(())
+            }
+            _ => Ok(()),
+        }
+    }
+
+    fn retire_step(
+        &mut self,
+        id: KeyframeId,
+        view: View,
+        counts: Arrival,
+    ) -> Result<(), ModelError> {
+        let device = self.map.device();
+        let (counts, landing) = counts.take(device, bytemuck::pod_collect_to_vec::<u8, u32>)?;
+        self.landings.push(landing);
+        let count = |place: Count| counts[place as usize];
+        if count(Count::OUT_OF_RANGE) != 0 {
+            for work in self.forget_what_is_in_flight()? {
+                // The cameras have moved already; what is left of the steps is the caller's affair.
+                if let Work::Move(_) = work {
+                    self.submit(work, None)?;
+                }
+            }
+            return Err(self.what_is_out_of_range(id, &view)?);
+        }
+        if count(Count::OVERFLOWED) != 0 {
+            let void = self.forget_what_is_in_flight()?;
+            self.map
+                .make_room_for_entries(count(Count::ENTRIES_NEEDED))?;
+            for work in std::iter::once(Work::Step(id, view)).chain(void) {
+                self.repeated_steps += usize::from(matches!(work, Work::Step(..)));
+                self.submit(work, None)?;
+            }
+            return Ok(());
+        }
+        self.stats.push(StepStats {
+            view: id,
+            loss: f32::from_bits(count(Count::LOSS)),
+            visible: count(Count::TOUCHED) as usize,
+            skipped_gradients: count(Count::SKIPPED) as usize,
+        });
+        Ok(())
+    }
+
+    /// Waits for all that is in flight, which changed nothing, and lets what comes next change things.
+    fn forget_what_is_in_flight(&mut self) -> Result<Vec<Work>, GpuError> {
+        let mut void = Vec::new();
+        for (work, report) in std::mem::take(&mut self.in_flight) {
+            match report {
+                Report::Step(counts) => {
+                    let ((), landing) = counts.take(self.map.device(), |_| ())?;
+                    self.landings.push(landing);
+                }
+                Report::Move => {}
+                Report::Prune(pruning) => self.map.forget_pruning(pruning)?,
+            }
+            void.push(work);
+        }
+        self.map.clear_counts()?;
+        Ok(void)
+    }
+
+    /// Why the render of a view cannot be compared with its target.
+    fn what_is_out_of_range(
+        &mut self,
+        id: KeyframeId,
+        view: &View,
+    ) -> Result<ModelError, ModelError> {
+        self.finish()?;
+        let rendered = images::render(&mut self.map, view)?;
+        let loss = photometric_loss(
+            &rendered,
+            &self.views.get(id)?.target,
+            &self.loss,
+            &mut Cotangents::default(),
+        );
+        Ok(match loss {
+            Err(error) => ModelError::Loss(error),
+            Ok(_) => GpuError::Other("a rendered value was out of range".into()).into(),
+        })
+    }
+}
