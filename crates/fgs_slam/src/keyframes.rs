@@ -7,11 +7,13 @@ use std::sync::Arc;
 
 use fgs_geom::{RgbdFrame, Se3};
 use fgs_splat::SparseId;
+use serde::{Deserialize, Serialize};
 
 use crate::config::KeyframeConfig;
 
 /// What a keyframe is for.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
 pub enum KeyframeKind {
     /// Extends the sparse and the dense map.
     Tracking,

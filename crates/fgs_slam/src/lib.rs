@@ -21,6 +21,6 @@ pub use config::{
 };
 pub use keyframes::{Keyframe, KeyframeKind};
 pub use mapper::{Mapper, MapperError, model_settings};
-pub use observer::{Observer, SlamEvent};
+pub use observer::{FrameStatus, Observer, SlamEvent};
 pub use system::{Execution, KeyframeRecord, SlamError, SlamOutput, Timings, run};
 pub use tracker::{Tracked, Tracker, TrackingStatus};

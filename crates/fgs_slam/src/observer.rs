@@ -1,8 +1,24 @@
 //! What the outside may see of a run while it runs: progress bars and viewers implement
 //! [`Observer`].
 
+use serde::{Deserialize, Serialize};
+
 use crate::keyframes::KeyframeKind;
 use crate::tracker::Tracked;
+
+/// What became of a frame.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum FrameStatus {
+    /// It has a pose.
+    Tracked,
+    /// It was read, but registration gave no pose that can be trusted.
+    Lost,
+    /// It could not be read.
+    Damaged,
+    /// It arrived too late in real time and was skipped.
+    Dropped,
+}
 
 /// Something that happened.
 #[derive(Debug)]

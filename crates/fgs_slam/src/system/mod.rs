@@ -10,12 +10,16 @@ mod realtime;
 mod worker;
 
 use std::error::Error;
+use std::fmt;
+use std::str::FromStr;
 use std::sync::atomic::AtomicBool;
 use std::time::{Duration, Instant};
 
 use fgs_geom::{Camera, FrameIndex, RgbdFrame, Se3};
 use fgs_splat::{GaussianModel, Gaussians};
 use rayon::ThreadPoolBuildError;
+use serde::de::IntoDeserializer;
+use serde::{Deserialize, Serialize};
 
 use crate::config::{ConfigError, SlamConfig};
 use crate::keyframes::KeyframeKind;
@@ -26,7 +30,10 @@ use front::{Front, MapSize};
 use worker::MapperWorker;
 
 /// How tracker and mapper take turns.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+///
+/// As text, in settings and on the command line: the variant's name in lower case.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
 pub enum Execution {
     /// In strict turns on one thread: the same result, bit for bit, every time.
     Lockstep,
@@ -36,6 +43,20 @@ pub enum Execution {
     /// On two threads, each frame at its own time; frames that come too late for the tracker are
     /// dropped, and the mapper does what it can.
     Realtime,
+}
+
+impl fmt::Display for Execution {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.serialize(f)
+    }
+}
+
+impl FromStr for Execution {
+    type Err = serde::de::value::Error;
+
+    fn from_str(text: &str) -> Result<Self, Self::Err> {
+        Self::deserialize(text.into_deserializer())
+    }
 }
 
 /// A run's result.

@@ -1,28 +1,43 @@
-//! Where the map is optimised, as the user names it, and the empty map there.
+//! Where the map is optimised, and the empty map there.
 //!
 //! Decided before a run makes its folder: where a device is asked for and there is none, nothing has
 //! happened yet.
 
 use std::fmt;
+use std::str::FromStr;
 
-use clap::ValueEnum;
 use fgs_slam::{MappingConfig, model_settings};
 use fgs_splat::{CpuModel, GpuDevice, GpuError, GpuModel};
+use serde::de::IntoDeserializer;
 use serde::{Deserialize, Serialize};
 
-use crate::failure::UsageError;
+use crate::error::RunError;
 
-/// `--backend`.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum, Serialize, Deserialize)]
+/// Where the map is to be optimised. As text: the variant's name in lower case.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Backend {
-    /// On a graphics device if there is one, else on the CPU
+    /// On a graphics device if there is one, else on the CPU.
     #[default]
     Auto,
-    /// On the CPU
+    /// On the CPU.
     Cpu,
-    /// On a graphics device, if need be one in software; refused where there is none
+    /// On a graphics device, even one emulated in software; refused where there is none.
     Gpu,
+}
+
+impl FromStr for Backend {
+    type Err = serde::de::value::Error;
+
+    fn from_str(text: &str) -> Result<Self, Self::Err> {
+        Self::deserialize(text.into_deserializer())
+    }
+}
+
+impl fmt::Display for Backend {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.serialize(f)
+    }
 }
 
 /// An empty map, where it will be optimised.
@@ -47,8 +62,8 @@ impl Backend {
     /// Finds the device and makes the map on it.
     ///
     /// # Errors
-    /// A [`UsageError`] if a graphics device was asked for and none can be used.
-    pub fn model(self, config: &MappingConfig) -> Result<Model, UsageError> {
+    /// [`RunError::NoDevice`] if a graphics device was asked for and none can be used.
+    pub fn model(self, config: &MappingConfig) -> Result<Model, RunError> {
         let on_cpu = |reason| Model::Cpu {
             model: Box::new(CpuModel::new(model_settings(config))),
             reason,
@@ -65,15 +80,13 @@ impl Backend {
         match self {
             Self::Auto => Ok(on_gpu(false).unwrap_or_else(|reason| on_cpu(Some(reason)))),
             Self::Cpu => Ok(on_cpu(None)),
-            Self::Gpu => on_gpu(true).map_err(|error: GpuError| {
-                UsageError(format!("{error} (--backend cpu computes without one)"))
-            }),
+            Self::Gpu => on_gpu(true).map_err(RunError::NoDevice),
         }
     }
 }
 
 impl Model {
-    /// What makes this choice again.
+    /// The backend that makes the same choice again.
     pub fn backend(&self) -> Backend {
         match self {
             Self::Cpu { .. } => Backend::Cpu,
@@ -90,7 +103,7 @@ impl Model {
     }
 }
 
-/// For people: the device, and why it is not another.
+/// The device in words, and why it is not another.
 impl fmt::Display for Model {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
@@ -121,15 +134,16 @@ mod tests {
         );
     }
 
-    /// Whatever this machine has: a device that is found is named, and one that is not is explained.
+    /// Whatever this machine has: a device that is found is named, and where there is none, asking
+    /// for one is a usage error.
     #[test]
-    fn every_backend_gives_a_model_or_a_way_out() {
+    fn every_backend_gives_a_model_or_a_reason() {
         let config = MappingConfig::default();
         assert_eq!(Backend::Cpu.model(&config).unwrap().name(), "CPU");
         assert!(Backend::Auto.model(&config).is_ok());
         match Backend::Gpu.model(&config) {
             Ok(model) => assert_eq!(model.name(), model.to_string()),
-            Err(error) => assert!(error.to_string().contains("--backend cpu"), "{error}"),
+            Err(error) => assert!(error.is_usage(), "{error}"),
         }
     }
 }

@@ -1,0 +1,50 @@
+//! What the outside sees of a run while it works: progress bars, logs and viewers implement
+//! [`RunObserver`].
+
+use crate::frame_log::FrameRow;
+
+/// Something that happened.
+#[derive(Debug)]
+#[non_exhaustive]
+pub enum RunEvent<'a> {
+    /// A frame was tracked or lost.
+    Frame {
+        /// Its row in `frames.csv`, without scores.
+        row: &'a FrameRow,
+        /// Gaussians in the map, as far as known.
+        num_gaussians: usize,
+        /// Optimisation steps so far, as far as known.
+        steps: usize,
+    },
+    /// A frame could not be read and was skipped.
+    Damaged {
+        /// Its position in the recording, from 0.
+        index: usize,
+        /// Why.
+        error: &'a (dyn std::error::Error + 'static),
+    },
+    /// A frame arrived too late in real time and was skipped.
+    Dropped {
+        /// Its position in the recording, from 0.
+        index: usize,
+    },
+    /// Frames were rendered and scored.
+    Scored {
+        /// Frames done so far.
+        done: usize,
+        /// Frames in all.
+        total: usize,
+    },
+}
+
+/// Sees every event, in order. While frames are tracked, it is called on the thread that tracks: a
+/// slow observer slows the run.
+pub trait RunObserver {
+    /// Called for each event.
+    fn on(&mut self, event: &RunEvent<'_>);
+}
+
+/// An observer that does nothing.
+impl RunObserver for () {
+    fn on(&mut self, _: &RunEvent<'_>) {}
+}
