@@ -40,10 +40,11 @@ pub struct DemoArgs {
 /// If something cannot be written or the device cannot be used.
 pub fn run(args: &DemoArgs) -> anyhow::Result<u8> {
     let console = Console::People;
-    // Refuses a missing device now, before minutes of synthesis.
-    args.backend
-        .model(&Settings::default().mapping)
-        .map_err(explain)?;
+    if args.backend == Backend::Gpu {
+        // Where there is no device, say so before the recording is made.
+        let settings = Settings::default();
+        args.backend.model(&settings.mapping).map_err(explain)?;
+    }
     let folder = match &args.out {
         Some(path) => RunFolder::create(path)?,
         None => RunFolder::create_new(Path::new("runs"), "demo")?,

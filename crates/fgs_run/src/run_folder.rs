@@ -83,7 +83,7 @@ impl RunFolder {
 
     /// Removes the results of an earlier run, so that the folder never mixes two runs, not even if
     /// some of the new results cannot be written.
-    pub fn clear_results(&self) {
+    pub(crate) fn clear_results(&self) {
         for name in [METRICS, TRAJECTORY, FRAMES, MAP, CONFIG] {
             // What is not there, or cannot be removed, shows when the new file is written.
             let _ = fs::remove_file(self.join(name));
@@ -94,7 +94,7 @@ impl RunFolder {
     ///
     /// # Errors
     /// If the folder cannot be made or cleared.
-    pub fn start_pictures(&self) -> Result<(), RunError> {
+    pub(crate) fn start_pictures(&self) -> Result<(), RunError> {
         let pictures = self.join(PICTURES);
         let clear = || -> io::Result<()> {
             fs::create_dir_all(&pictures)?;
