@@ -1,7 +1,7 @@
-//! What the user sees: text and a progress bar for people, one JSON object a line for machines.
+//! Output: text and progress bars for people, or one JSON object per line for machines.
 //!
-//! Results go to stdout; progress and warnings go to stderr. A reader of stdout that goes away
-//! does not end the work.
+//! Results go to stdout, progress and warnings to stderr. That stdout's reader has gone away does not
+//! end the work.
 
 use std::fmt::Display;
 use std::io::Write;
@@ -10,10 +10,10 @@ use std::time::Duration;
 use indicatif::{ProgressBar, ProgressStyle};
 use serde::Serialize;
 
-/// So many warnings of one kind are printed; the rest is only counted.
+/// How many warnings of one kind are printed; the rest are only counted.
 const MAX_WARNINGS: usize = 10;
 
-/// Who reads along.
+/// Who reads the output.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Console {
     /// Text.
@@ -30,19 +30,19 @@ struct Event<'a, T> {
 }
 
 impl Console {
-    /// Machines if JSON was asked for.
+    /// For machines if JSON was asked for.
     pub fn new(json: bool) -> Self {
         if json { Self::Machines } else { Self::People }
     }
 
-    /// A line of text for people.
+    /// Prints a line of text for people.
     pub fn say(self, text: impl Display) {
         if self == Self::People {
             print_line(text);
         }
     }
 
-    /// A line `{"event": name, ...data}` for machines; `data` is a struct or a map.
+    /// Prints a line `{"event": name, ...data}` for machines; `data` is a struct or a map.
     pub fn event(self, name: &str, data: impl Serialize) {
         if self == Self::Machines
             && let Ok(line) = serde_json::to_string(&Event { event: name, data })
@@ -51,7 +51,7 @@ impl Console {
         }
     }
 
-    /// A progress bar for people at a terminal; elsewhere one that shows nothing.
+    /// A progress bar for people at a terminal; otherwise a hidden one.
     pub fn progress(self, steps: usize, what: &str) -> ProgressBar {
         if self == Self::Machines {
             return ProgressBar::hidden();
@@ -79,7 +79,7 @@ pub struct Warnings {
 }
 
 impl Warnings {
-    /// One more, above the bar.
+    /// Prints or counts one more, above the bar.
     pub fn warn(&mut self, bar: &ProgressBar, message: impl Display) {
         self.count += 1;
         if self.count <= MAX_WARNINGS {

@@ -1,37 +1,34 @@
-//! `fgs demo`: everything once, on a synthetic recording: synthesis, run, evaluation.
+//! `fgs demo`: a synthetic recording is made, run and scored.
 
 use std::path::{Path, PathBuf};
 
 use clap::Args;
-use fgs_data::{Dataset, OpenOptions};
+use fgs_run::{Backend, Plan, RunFolder, RunOptions, Settings};
+use fgs_slam::Execution;
 use fgs_synth::{FRAMES_PER_LOOP, SensorModel, Sequence, kinect_camera};
 
-use crate::backend::Backend;
 use crate::console::Console;
-use crate::failure::EXIT_DONE;
-use crate::mode::Mode;
-use crate::pipeline::Plan;
-use crate::run_folder::RunFolder;
-use crate::settings::Settings;
+use crate::failure::{EXIT_DONE, explain};
+use crate::run::{command_line, execute};
 use crate::threads::Threads;
-use crate::{interrupt, synth};
+use crate::{choices, interrupt, pipeline_cache, synth};
 
-/// Half a Kinect's resolution and once round the room: two minutes on two cores.
+/// Half a Kinect's resolution, once round the room: two minutes on two cores.
 const SIZE: (usize, usize) = (320, 240);
 const FRAMES: usize = FRAMES_PER_LOOP;
 const SEED: u64 = 1;
 
-/// See it work, without any data of your own
+/// See it work without data of your own
 ///
-/// Makes a recording of a synthetic room as a Kinect would see it, follows the camera, builds the
-/// map, and compares both with the truth. Takes a few minutes on two cores.
+/// Makes a recording of a synthetic room as a Kinect would see it, tracks the camera, builds the map,
+/// and compares both with the ground truth. Takes a few minutes on two cores.
 #[derive(Debug, Args)]
 pub struct DemoArgs {
-    /// Folder for recording and results [default: the first free of runs/demo, runs/demo-2, ...]
+    /// Folder for the recording and the results [default: the first free of runs/demo, runs/demo-2, ...]
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
     /// Where the map is optimised
-    #[arg(long, value_enum, default_value_t)]
+    #[arg(long, value_parser = choices::backend(), default_value_t)]
     backend: Backend,
     #[command(flatten)]
     threads: Threads,
@@ -43,8 +40,14 @@ pub struct DemoArgs {
 /// If something cannot be written or the device cannot be used.
 pub fn run(args: &DemoArgs) -> anyhow::Result<u8> {
     let console = Console::People;
-    let mut settings = Settings::default();
-    let model = args.backend.model(&settings.mapping)?;
+    if args.backend == Backend::Gpu {
+        // Where there is no device, say so before the recording is made.
+        let settings = Settings::default();
+        let cache = pipeline_cache::folder();
+        args.backend
+            .model(&settings.mapping, cache.as_deref())
+            .map_err(explain)?;
+    }
     let folder = match &args.out {
         Some(path) => RunFolder::create(path)?,
         None => RunFolder::create_new(Path::new("runs"), "demo")?,
@@ -59,21 +62,18 @@ pub fn run(args: &DemoArgs) -> anyhow::Result<u8> {
     if exit_code != EXIT_DONE {
         return Ok(exit_code);
     }
-    let dataset = Dataset::open(&recording, &OpenOptions::default())?;
-    let frames = 0..dataset.len();
-    let mode = Mode::Lockstep;
-    settings.camera = Some(dataset.camera_file().clone());
-    settings.record_run(&recording, mode, model.backend(), &frames);
-    let plan = Plan {
-        dataset_path: recording,
-        dataset,
-        frames,
-        settings,
-        mode,
-        folder,
+    let options = RunOptions {
+        dataset: recording,
+        execution: Some(Execution::Lockstep),
+        backend: Some(args.backend),
+        out: Some(folder.path().to_owned()),
         evaluate: true,
+        pipeline_cache: pipeline_cache::folder(),
+        command: Some(command_line()),
+        ..RunOptions::default()
     };
-    let exit_code = plan.execute(model, console, &stop)?;
+    let (plan, model) = Plan::resolve(&options).map_err(explain)?;
+    let exit_code = execute(&plan, model, console, &stop)?;
     let out = plan.folder.path().display();
     console.say(format!("\nLook at {out}/pictures (camera on the left, map on the right), or try\n  fgs render {out} --fly-through"));
     Ok(exit_code)

@@ -1,40 +1,27 @@
-//! `fgs eval`: scores the folder of an earlier run (again).
+//! `fgs eval`: scores the folder of a finished run (again).
 
-use std::path::{Path, PathBuf};
+use std::fmt::Write;
+use std::path::PathBuf;
 
-use anyhow::Context;
 use clap::Args;
+use fgs_run::{FinishedRun, SCORES};
 
 use crate::console::Console;
-use crate::failure::{EXIT_DONE, EXIT_INTERRUPTED, UsageError};
-use crate::run_folder::{CONFIG, RunFolder};
-use crate::run_result::RunResult;
-use crate::settings::Settings;
+use crate::failure::{EXIT_DONE, EXIT_INTERRUPTED, explain};
+use crate::interrupt;
+use crate::progress::Progress;
 use crate::threads::Threads;
-use crate::{evaluation, interrupt, pictures, recording};
 
-/// Score the results of an earlier run
+/// Score the results of a finished run
 ///
 /// Renders the map at the pose of every tracked frame, compares it with the recording, and writes
-/// the numbers into the run's metrics.json and frames.csv.
+/// the scores into the run's metrics.json and frames.csv.
 #[derive(Debug, Args)]
-#[command(after_long_help = "\
-Examples:
-  fgs eval runs/desk
-  fgs eval runs/desk --dataset /mnt/disk/desk     if the recording is not where it was
-
-What the numbers mean (means over the tracked frames):
-  ate_rmse_m, ate_mean_m  distance to the known positions after rigid alignment without scale
-  rpe_mean_m              error of the motion between successive tracked frames
-  psnr_valid_depth_db     where depth is measured
-  psnr_db                 over all pixels
-  psnr_paper_db           both images black where no depth is measured, those pixels counted
-  psnr_heldout_db         as psnr_valid_depth_db, over frames that were never keyframes
-  ssim, depth_l1_m        structural similarity; mean absolute depth error")]
+#[command(after_long_help = after_help())]
 pub struct EvalArgs {
     /// Folder of the run
     run: PathBuf,
-    /// The recording [default: where it was during the run]
+    /// Folder of the recording [default: where it was during the run]
     #[arg(long, value_name = "DIR")]
     dataset: Option<PathBuf>,
     #[command(flatten)]
@@ -44,46 +31,37 @@ pub struct EvalArgs {
     json: bool,
 }
 
+fn after_help() -> String {
+    let mut text = "\
+Examples:
+  fgs eval runs/desk
+  fgs eval runs/desk --dataset /mnt/disk/desk     if the recording has moved
+
+What the scores mean (those of images are means over the tracked frames):"
+        .to_owned();
+    for score in SCORES {
+        // Writing to a string cannot fail.
+        let _ = write!(text, "\n  {:<21}{}", score.name, score.meaning);
+    }
+    text
+}
+
 /// Executes `fgs eval`.
 ///
 /// # Errors
-/// If the folder or the recording cannot be read, or the scores not be written.
+/// If the folder or the recording cannot be read, or the scores cannot be written.
 pub fn run(args: &EvalArgs) -> anyhow::Result<u8> {
     let console = Console::new(args.json);
-    check_run(&args.run)?;
-    let folder = RunFolder::create(&args.run)?;
-    let mut settings = Settings::read(&folder.join(CONFIG))?;
-    let recorded = settings.run.dataset.clone();
-    let path = args.dataset.clone().or(recorded).ok_or_else(|| {
-        UsageError(format!(
-            "{} names no recording: add --dataset DIR",
-            args.run.display()
-        ))
-    })?;
-    settings.run.camera_overrides = Some(true);
-    let dataset = recording::open(&path, None, &mut settings)
-        .context("cannot open the run's recording (--dataset DIR says where it is)")?;
+    let finished = FinishedRun::open(&args.run, args.dataset.as_deref()).map_err(explain)?;
     args.threads.apply()?;
     let stop = interrupt::stop_flag()?;
-    let mut result = RunResult::read(&folder)?;
-    evaluation::score_trajectory(&mut result, &dataset)?;
-    if !evaluation::score_images(&mut result, &dataset, console, &stop)? {
+    let mut progress = Progress::new(0, console);
+    let result = finished.rescore(&mut progress, &stop);
+    drop(progress);
+    let Some(result) = result.map_err(explain)? else {
         return Ok(EXIT_INTERRUPTED);
-    }
-    pictures::write_samples(&result, &dataset, &folder)?;
-    result.save_numbers(&folder)?;
+    };
     console.event("metrics", &result.metrics);
     console.say(result.metrics.table());
     Ok(EXIT_DONE)
-}
-
-/// Refuses a folder that no run has made.
-fn check_run(path: &Path) -> Result<(), UsageError> {
-    if path.join(CONFIG).is_file() {
-        return Ok(());
-    }
-    Err(UsageError(format!(
-        "{} is not the folder of a run: it has no {CONFIG}",
-        path.display()
-    )))
 }

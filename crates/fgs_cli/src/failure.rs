@@ -1,21 +1,20 @@
-//! What goes wrong, as exit codes: 2 where the command line, a configuration or a camera has to be
-//! corrected, 1 for everything else. The message is printed once, by `main`.
+//! Errors as exit codes and messages: 2 for usage errors, where the command line, a settings file or
+//! a camera file has to be corrected, 1 for everything else. `main` prints the message once.
 
 use std::fmt;
 
-use fgs_data::DataError;
-use fgs_slam::SlamError;
+use fgs_run::RunError;
 
 /// Everything was done.
 pub const EXIT_DONE: u8 = 0;
 /// It could not be done.
 pub const EXIT_FAILED: u8 = 1;
-/// It was asked for in a way that cannot be meant.
+/// A usage error.
 pub const EXIT_USAGE: u8 = 2;
-/// Ctrl-C ended it; what there was is saved. 128 + SIGINT, as shells have it.
+/// Ctrl-C ended it; what there was is saved. 128 + SIGINT, as in shells.
 pub const EXIT_INTERRUPTED: u8 = 130;
 
-/// The user has to change the command line, a configuration or a camera file.
+/// The user has to change the command line.
 #[derive(Debug)]
 pub struct UsageError(pub String);
 
@@ -31,17 +30,24 @@ impl std::error::Error for UsageError {}
 pub fn exit_code(error: &anyhow::Error) -> u8 {
     let usage = error.chain().any(|cause| {
         cause.is::<UsageError>()
-            || matches!(
-                cause.downcast_ref(),
-                Some(
-                    DataError::CameraFile { .. }
-                        | DataError::Camera { .. }
-                        | DataError::NoCamera { .. }
-                )
-            )
-            || matches!(cause.downcast_ref(), Some(SlamError::Config(_)))
+            || cause
+                .downcast_ref()
+                .is_some_and(|error: &RunError| error.is_usage())
     });
     if usage { EXIT_USAGE } else { EXIT_FAILED }
+}
+
+/// The library's error in terms of the command line, with the option that helps.
+pub fn explain(error: RunError) -> anyhow::Error {
+    let message = match &error {
+        RunError::Assignment { .. } => format!("--set {error}"),
+        RunError::NoDevice(_) => format!("{error} (--backend cpu computes without one)"),
+        RunError::UnknownRecording { .. } | RunError::RecordingOfRun(_) => {
+            format!("{error} (--dataset DIR says where it is)")
+        }
+        _ => return error.into(),
+    };
+    anyhow::Error::new(error).context(message)
 }
 
 /// The error and its causes, one line of each, each said once: many errors quote their cause.
@@ -72,5 +78,14 @@ mod tests {
         let usage = anyhow::Error::new(UsageError("no".into())).context("cannot start");
         assert_eq!(exit_code(&usage), EXIT_USAGE);
         assert_eq!(exit_code(&anyhow::anyhow!("no")), EXIT_FAILED);
+        let refused = || RunError::Assignment {
+            assignment: "seed=x".into(),
+            message: "no number".into(),
+        };
+        let explained = explain(refused());
+        assert_eq!(exit_code(&explained), EXIT_USAGE);
+        assert_eq!(message(&explained), "--set seed=x: no number");
+        let nested = explain(RunError::RecordingOfRun(Box::new(refused())));
+        assert_eq!(exit_code(&nested), EXIT_USAGE);
     }
 }

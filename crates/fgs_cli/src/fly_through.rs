@@ -1,12 +1,12 @@
-//! A camera path that glides: a recorded trajectory without the tremor of the hand.
+//! A smooth camera path: a recorded trajectory without the tremor of the hand.
 
 use fgs_geom::Se3;
 use nalgebra::{Vector3, Vector4};
 
-/// Standard deviation of the smoothing as a share of the path: turns stay, tremor goes.
+/// Standard deviation of the smoothing, as a share of the path: turns stay, tremor goes.
 const SMOOTHING_SHARE: f64 = 0.03;
 
-/// `views` poses evenly spaced along the smoothed path, in order; none of none.
+/// `views` poses evenly spaced along the smoothed path, in order; none if there are no poses.
 pub fn fly_through(poses: &[Se3], views: usize) -> Vec<Se3> {
     let sigma = (SMOOTHING_SHARE * poses.len() as f64).max(1.0);
     let last = poses.len().saturating_sub(1) as f64;
@@ -16,7 +16,7 @@ pub fn fly_through(poses: &[Se3], views: usize) -> Vec<Se3> {
         .collect()
 }
 
-/// The mean of the poses, weighted by a gaussian about a position in their list.
+/// The mean of the poses, weighted by a gaussian centred on a position in the list.
 fn mean_pose(poses: &[Se3], center: f64, sigma: f64) -> Option<Se3> {
     // Beyond 3 sigma a weight is under 1 %.
     let first = (center - 3.0 * sigma).ceil().max(0.0) as usize;

@@ -1,4 +1,4 @@
-//! Ctrl-C: the first asks the work to end and save, the second ends the program at once.
+//! Ctrl-C: the first asks the run to end and save its results, the second ends the program at once.
 
 use std::process;
 use std::sync::Arc;
@@ -8,7 +8,7 @@ use anyhow::Context;
 
 use crate::failure::EXIT_INTERRUPTED;
 
-/// The flag that the first Ctrl-C (or SIGTERM) sets. To be called once.
+/// The flag that the first Ctrl-C (or SIGTERM) sets. Call it once.
 pub fn stop_flag() -> anyhow::Result<Arc<AtomicBool>> {
     let stop = Arc::new(AtomicBool::new(false));
     let handler = Arc::clone(&stop);

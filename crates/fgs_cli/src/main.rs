@@ -1,31 +1,21 @@
-//! `fgs`: RGB-D SLAM with gaussian splatting, guided by a Fourier segmentation. Glue only: every
-//! subcommand is a file of its own.
+//! `fgs`: RGB-D SLAM with gaussian splatting, guided by a Fourier segmentation. Arguments and output
+//! only; the work is done by the libraries. Each subcommand has a file of its own.
 
-mod backend;
 mod bench;
+mod choices;
 mod console;
 mod demo;
 mod doctor;
 mod eval;
-mod evaluation;
 mod failure;
 mod fly_through;
-mod frame_log;
-mod frame_range;
 mod image_size;
 mod interrupt;
 mod memory;
-mod metrics;
-mod mode;
-mod pictures;
-mod pipeline;
+mod pipeline_cache;
 mod progress;
-mod recording;
 mod render;
 mod run;
-mod run_folder;
-mod run_result;
-mod settings;
 mod synth;
 mod threads;
 mod vulkan_layer;
@@ -34,7 +24,7 @@ use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
 
-/// RGB-D SLAM: from a recording of colour and depth to the camera's trajectory and a map of gaussians.
+/// RGB-D SLAM: turns a recording of colour and depth into the camera's trajectory and a map of gaussians.
 #[derive(Parser)]
 #[command(
     version,

@@ -1,24 +1,21 @@
-//! `fgs render`: pictures of a map, from where the camera was or along a smooth path.
+//! `fgs render`: pictures of a map, from the camera's poses or along a smooth path.
 
 use std::path::{Path, PathBuf};
 
 use anyhow::Context;
 use clap::Args;
 use fgs_data::Trajectory;
-use fgs_geom::{Camera, CameraError, Intrinsics, Se3};
+use fgs_geom::{Camera, CameraError, Intrinsics, Se3, View};
+use fgs_run::{CONFIG, MAP, RunFolder, Settings, TRAJECTORY, png_bytes, write_png};
 use fgs_splat::Rasterizer;
 
 use crate::console::Console;
-use crate::evaluation;
 use crate::failure::{EXIT_DONE, UsageError};
 use crate::fly_through::fly_through;
 use crate::image_size::ImageSize;
-use crate::pictures::{to_bytes, write_png};
-use crate::run_folder::{CONFIG, MAP, RunFolder, TRAJECTORY};
-use crate::settings::Settings;
 use crate::threads::Threads;
 
-/// Field of view for maps without a camera, degrees: about a depth sensor's.
+/// Field of view for maps without a camera, degrees: about that of a depth sensor.
 const DEFAULT_FOV_DEG: f64 = 60.0;
 /// Image size for maps without a camera.
 const DEFAULT_SIZE: ImageSize = ImageSize {
@@ -26,9 +23,9 @@ const DEFAULT_SIZE: ImageSize = ImageSize {
     height: 480,
 };
 
-/// Make pictures of a map
+/// Render pictures of a map
 ///
-/// Renders a map as PNG files from poses of its trajectory, or along a smooth path.
+/// Renders a map to PNG files, from poses of its trajectory or along a smooth path.
 #[derive(Debug, Args)]
 #[command(after_long_help = "\
 Examples:
@@ -43,10 +40,10 @@ pub struct RenderArgs {
     /// Folder for the pictures [default: views or fly-through, beside the map]
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
-    /// Glide along the smoothed trajectory instead of showing some of its poses
+    /// Follow the smoothed trajectory instead of showing some of its poses
     #[arg(long)]
     fly_through: bool,
-    /// How many pictures, evenly spread
+    /// Number of pictures, evenly spread along the trajectory
     #[arg(long, value_name = "N", default_value_t = 30, value_parser = clap::value_parser!(u32).range(1..=100_000))]
     views: u32,
     /// Size of the pictures [default: the camera's]
@@ -55,7 +52,7 @@ pub struct RenderArgs {
     /// Horizontal field of view, degrees [default: the camera's]
     #[arg(long, value_name = "DEGREES")]
     fov: Option<f64>,
-    /// Poses in TUM's format [default: trajectory.txt beside the map]
+    /// Poses, in TUM's format [default: trajectory.txt beside the map]
     #[arg(long, value_name = "FILE")]
     trajectory: Option<PathBuf>,
     #[command(flatten)]
@@ -80,7 +77,7 @@ pub fn run(args: &RenderArgs) -> anyhow::Result<u8> {
         .clone()
         .unwrap_or_else(|| folder.join(TRAJECTORY));
     let trajectory = Trajectory::read(&trajectory)
-        .context("cannot tell where to look from (--trajectory FILE gives poses)")?;
+        .context("no poses to render from (--trajectory FILE gives them)")?;
     let gaussians = fgs_splat::read_ply(&map)?;
     let default_out = folder.join(if args.fly_through {
         "fly-through"
@@ -104,8 +101,12 @@ pub fn run(args: &RenderArgs) -> anyhow::Result<u8> {
     let bar = Console::People.progress(path.len(), "views");
     let mut rasterizer = Rasterizer::default();
     for (i, pose) in path.iter().enumerate() {
-        let rendered = evaluation::render(&mut rasterizer, &gaussians, &camera, *pose);
-        let picture = to_bytes(&rendered.color);
+        let view = View {
+            camera,
+            world_from_camera: *pose,
+        };
+        let pass = rasterizer.render(&gaussians, &view);
+        let picture = png_bytes(&pass.rendered().color);
         out.write(&format!("{i:06}.png"), |file| write_png(&picture, file))?;
         bar.inc(1);
     }
@@ -114,7 +115,7 @@ pub fn run(args: &RenderArgs) -> anyhow::Result<u8> {
     Ok(EXIT_DONE)
 }
 
-/// At most `count` of the poses, evenly spread, the first and the last among them.
+/// At most `count` of the poses, evenly spread, including the first and the last.
 fn spread(poses: &[Se3], count: usize) -> Vec<Se3> {
     let count = count.min(poses.len());
     let last = poses.len().saturating_sub(1);
@@ -123,7 +124,7 @@ fn spread(poses: &[Se3], count: usize) -> Vec<Se3> {
         .collect()
 }
 
-/// The run's camera, as far as the options do not say otherwise.
+/// The run's camera, where the options do not override it.
 fn camera(args: &RenderArgs, folder: &Path) -> anyhow::Result<Camera> {
     let config = folder.join(CONFIG);
     let recorded = if config.is_file() {
@@ -145,7 +146,7 @@ fn camera(args: &RenderArgs, folder: &Path) -> anyhow::Result<Camera> {
     .map_err(Into::into)
 }
 
-/// The same horizontal field of view in another size.
+/// The same horizontal field of view at another size.
 fn resized(camera: &Camera, size: ImageSize) -> Result<Camera, CameraError> {
     let Intrinsics { fx, fy, cx, cy } = camera.intrinsics;
     let scale = size.width as f64 / camera.width as f64;

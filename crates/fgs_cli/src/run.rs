@@ -1,26 +1,23 @@
-//! `fgs run`: turns what the user typed into a [`Plan`] and executes it.
+//! `fgs run`: turns the arguments into options of a run, executes it and reports.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
+use std::sync::atomic::{AtomicBool, Ordering};
 
+use anyhow::bail;
 use clap::Args;
+use fgs_run::{Backend, FrameRange, Model, Plan, RunOptions, RunResult};
+use fgs_slam::Execution;
+use serde_json::json;
 
-use crate::backend::{Backend, Model};
 use crate::console::Console;
-use crate::frame_range::FrameRange;
-use crate::interrupt;
-use crate::mode::Mode;
-use crate::pipeline::Plan;
-use crate::recording;
-use crate::run_folder::RunFolder;
-use crate::settings::Settings;
+use crate::failure::{EXIT_DONE, EXIT_INTERRUPTED, explain};
+use crate::progress::Progress;
 use crate::threads::Threads;
+use crate::{choices, interrupt, pipeline_cache};
 
-/// Where runs without `--out` go.
-const RUNS: &str = "runs";
-
-/// Follow the camera and build the map
+/// Track the camera and build the map
 ///
-/// Reads a recording and writes a folder with the trajectory, the map and what became of each frame.
+/// Reads a recording and writes a folder with the trajectory, the map and a log of the frames.
 #[derive(Debug, Args)]
 #[command(after_long_help = "\
 Examples:
@@ -28,11 +25,11 @@ Examples:
   fgs run rgbd_dataset_freiburg1_desk --config configs/tum-fr1.toml --eval
   fgs run recordings/desk --frames 0..200 --mode lockstep --out out/desk
   fgs run recordings/desk --set mapping.iterations_per_frame=10 --set seed=2
-  fgs run recordings/desk --config runs/desk/config.effective.toml   the same run again
+  fgs run recordings/desk --config runs/desk/config.effective.toml   repeats a run
 
 The recording is a folder in the layout of TUM RGB-D (rgb.txt, depth.txt), Replica (results/),
-7-Scenes (frame-*.color.png), or has a folder rgb/ and a folder depth/ whose files pair up in the
-order of their names. Unless the layout brings its camera, put a camera.toml into the folder:
+7-Scenes (frame-*.color.png), or has folders rgb/ and depth/ whose files correspond in the order of
+their names. Unless the layout includes the camera, put a camera.toml into the folder:
 
   width = 640
   height = 480
@@ -40,47 +37,48 @@ order of their names. Unless the layout brings its camera, put a camera.toml int
   fy = 525.0
   cx = 319.5
   cy = 239.5
-  depth_scale = 1000.0    # the value in a depth image that means 1 metre
+  depth_scale = 1000.0    # the value in a depth image that stands for 1 metre
 
-Settings: defaults, then --config, then --set. config.effective.toml in the results lists them all.
-Camera: --camera, then the one beside the recording, then [camera] in --config.
+Settings: --config overrides the defaults, and --set overrides both. config.effective.toml in the
+results lists them all. The camera comes from --camera, else from the recording, else from [camera] in
+--config. --camera also takes a settings file that has a [camera] table.
 
-Results: metrics.json, trajectory.txt (TUM: timestamp tx ty tz qx qy qz qw; lost frames are left
-out), frames.csv, map.ply, config.effective.toml, pictures/. Results already in --out are replaced
-when the run has ended.
+Results: metrics.json, trajectory.txt (TUM: timestamp tx ty tz qx qy qz qw; without lost frames),
+frames.csv, map.ply, config.effective.toml, pictures/. Results already in --out are replaced when the
+run has ended.
 
-Exit code: 0 done, 1 failed, 2 to be corrected by you, 130 ended by Ctrl-C (what there was is saved;
-a second Ctrl-C gives that up). Where a graphics device fails, what there was is saved too.")]
+Exit code: 0 done, 1 failed, 2 usage error, 130 stopped by Ctrl-C (the results so far are saved; a
+second Ctrl-C skips that). If a graphics device fails, the results so far are saved too.")]
 pub struct RunArgs {
     /// Folder of the recording
     dataset: PathBuf,
-    /// Settings, as TOML; any part of them
+    /// Settings file (TOML); may be partial
     #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
-    /// Camera file; goes before the one beside the recording
+    /// Camera file; overrides the recording's own camera
     #[arg(long, value_name = "FILE")]
     camera: Option<PathBuf>,
-    /// One setting, such as mapping.prune_every=200; may be given many times
+    /// A single setting, such as mapping.prune_every=200; may be repeated
     #[arg(long = "set", value_name = "KEY=VALUE")]
     assignments: Vec<String>,
     /// Folder for the results [default: the first free of runs/NAME, runs/NAME-2, ...]
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
     /// How tracker and mapper take turns [default: lockstep]
-    #[arg(long, value_enum)]
-    mode: Option<Mode>,
+    #[arg(long, value_parser = choices::execution())]
+    mode: Option<Execution>,
     /// Where the map is optimised [default: auto]
-    #[arg(long, value_enum)]
+    #[arg(long, value_parser = choices::backend())]
     backend: Option<Backend>,
-    /// Only these frames: from A up to but without B, counted from 0
+    /// Only these frames: from A up to, but not including, B, counted from 0
     #[arg(long, value_name = "A..B")]
     frames: Option<FrameRange>,
     #[command(flatten)]
     threads: Threads,
-    /// Afterwards render every frame and score it (PSNR, SSIM, depth)
+    /// Render and score every frame at the end (PSNR, SSIM, depth)
     #[arg(long)]
     eval: bool,
-    /// Write JSON to stdout, one event a line; the last one holds the metrics
+    /// Write JSON to stdout, one event per line; the last one holds the metrics
     #[arg(long)]
     json: bool,
 }
@@ -90,34 +88,88 @@ pub struct RunArgs {
 /// # Errors
 /// If the run cannot be started, fails, or cannot be saved.
 pub fn run(args: &RunArgs) -> anyhow::Result<u8> {
-    let (plan, model) = resolve(args)?;
+    let options = RunOptions {
+        dataset: args.dataset.clone(),
+        config: args.config.clone(),
+        assignments: args.assignments.clone(),
+        camera: args.camera.clone(),
+        execution: args.mode,
+        backend: args.backend,
+        frames: args.frames,
+        out: args.out.clone(),
+        evaluate: args.eval,
+        pipeline_cache: pipeline_cache::folder(),
+        command: Some(command_line()),
+    };
+    let (plan, model) = Plan::resolve(&options).map_err(explain)?;
     args.threads.apply()?;
     let stop = interrupt::stop_flag()?;
-    plan.execute(model, Console::new(args.json), &stop)
+    execute(&plan, model, Console::new(args.json), &stop)
 }
 
-fn resolve(args: &RunArgs) -> anyhow::Result<(Plan, Model)> {
-    let mut settings = Settings::load(args.config.as_deref(), &args.assignments)?;
-    let dataset = recording::open(&args.dataset, args.camera.as_deref(), &mut settings)?;
-    let frames = args.frames.or(settings.run.frames).unwrap_or_default();
-    let frames = frames.resolve(dataset.len())?;
-    recording::check_size(&dataset, frames.start)?;
-    let mode = args.mode.or(settings.run.mode).unwrap_or(Mode::Lockstep);
-    let backend = args.backend.or(settings.run.backend).unwrap_or_default();
-    let model = backend.model(&settings.mapping)?;
-    settings.record_run(&args.dataset, mode, model.backend(), &frames);
-    let folder = match &args.out {
-        Some(path) => RunFolder::create(path)?,
-        None => RunFolder::create_new(Path::new(RUNS), &recording::name(&args.dataset))?,
-    };
-    let plan = Plan {
-        dataset_path: args.dataset.clone(),
-        dataset,
-        frames,
-        settings,
-        mode,
-        folder,
-        evaluate: args.eval,
-    };
-    Ok((plan, model))
+/// The command line as typed.
+pub fn command_line() -> String {
+    std::env::args().collect::<Vec<_>>().join(" ")
+}
+
+/// Does what was planned and reports on it; returns the exit code.
+///
+/// # Errors
+/// If no frame can be read, the mapper fails, or something cannot be scored or saved.
+pub fn execute(
+    plan: &Plan,
+    model: Model,
+    console: Console,
+    stop: &AtomicBool,
+) -> anyhow::Result<u8> {
+    announce(plan, &model, console);
+    let mut progress = Progress::new(plan.frames.len(), console);
+    let result = plan.run(model, &mut progress, stop);
+    drop(progress);
+    let result = result.map_err(explain)?;
+    report(plan, &result, console)?;
+    Ok(if stop.load(Ordering::Relaxed) {
+        EXIT_INTERRUPTED
+    } else {
+        EXIT_DONE
+    })
+}
+
+fn announce(plan: &Plan, model: &Model, console: Console) {
+    let camera = plan.dataset.camera();
+    let format = plan.dataset.format().to_string();
+    let (dataset, out) = (plan.dataset_path.display(), plan.folder.path());
+    console.event(
+        "start",
+        json!({
+            "dataset": plan.dataset_path,
+            "format": format,
+            "frames": plan.frames,
+            "width": camera.width,
+            "height": camera.height,
+            "backend": model.name,
+            "out": out,
+        }),
+    );
+    console.say(format!(
+        "{dataset}: {format}, frames {}..{} of {}, {}x{}",
+        plan.frames.start,
+        plan.frames.end,
+        plan.dataset.len(),
+        camera.width,
+        camera.height
+    ));
+    console.say(format!("computing on {model}"));
+}
+
+fn report(plan: &Plan, result: &RunResult, console: Console) -> anyhow::Result<()> {
+    let folder = plan.folder.path().display();
+    console.event("metrics", &result.metrics);
+    console.say(result.metrics.table());
+    console.say(format!("  results    {folder}"));
+    if let Some(failure) = &result.metrics.failure {
+        let frame = result.rows.last().map_or(0, |row| row.index);
+        bail!("the run ended early, at frame {frame}: {failure}; what there was is in {folder}");
+    }
+    Ok(())
 }

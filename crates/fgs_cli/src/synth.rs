@@ -1,4 +1,4 @@
-//! `fgs synth`: writes a synthetic recording with exactly known poses.
+//! `fgs synth`: writes a synthetic recording with exact ground truth.
 
 use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
@@ -15,7 +15,7 @@ use crate::interrupt;
 
 /// Write a synthetic recording of a furnished room
 ///
-/// Poses are known exactly, so it shows what tracking and mapping can do. The same options always
+/// Its ground truth is exact, so it shows what tracking and mapping can do. The same options always
 /// give the same recording.
 #[derive(Debug, Args)]
 #[command(after_long_help = "\
@@ -27,22 +27,22 @@ Examples:
 pub struct SynthArgs {
     /// Folder to write; must not exist
     out: PathBuf,
-    /// Files and names
+    /// Layout of the files
     #[arg(long, value_enum, default_value_t = Layout::Tum)]
     layout: Layout,
-    /// Another seed, another room and way
+    /// Seed; another seed gives another room and path
     #[arg(long, default_value_t = 1)]
     seed: u64,
-    /// Rooms in a row to walk through, of this seed and the next
+    /// How many rooms in a row to walk through
     #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u8).range(1..=20))]
     rooms: u8,
-    /// Length; 300 frames lead once round the room; through several rooms, 300 a room are a calm walk
+    /// Number of frames; 300 go once round a room, and 300 per room make a calm walk through several
     #[arg(long, default_value_t = 300, value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
     frames: u32,
     /// Size of the images
     #[arg(long, value_name = "WxH", default_value = "640x480")]
     size: ImageSize,
-    /// Imperfections of the sensor
+    /// Sensor model
     #[arg(long, value_enum, default_value_t = Noise::Kinect)]
     noise: Noise,
 }
@@ -59,7 +59,7 @@ enum Layout {
 /// `--noise`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 enum Noise {
-    /// Noise, steps and holes in depth, exposure and motion blur in colour, as of a Kinect
+    /// Like a Kinect: noise, quantisation and holes in depth, exposure changes and motion blur in colour
     Kinect,
     /// Exact images
     None,

@@ -1,4 +1,4 @@
-//! `--threads`: how many threads compute. Results do not depend on it.
+//! `--threads`: the number of threads that compute. Results do not depend on it.
 
 use anyhow::Context;
 use clap::Args;
@@ -6,13 +6,13 @@ use clap::Args;
 /// The option, shared by every subcommand that computes.
 #[derive(Clone, Copy, Debug, Args)]
 pub struct Threads {
-    /// Threads that compute [default: one a core]; results do not depend on it
+    /// Number of threads [default: one per core]; results do not depend on it
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
     threads: Option<u16>,
 }
 
 impl Threads {
-    /// Sets the number of threads of the whole program. To be called once, before any computing.
+    /// Sets the number of threads of the whole program. Call it once, before anything is computed.
     ///
     /// # Errors
     /// If the threads cannot be started.

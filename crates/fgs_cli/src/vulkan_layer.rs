@@ -1,7 +1,7 @@
-//! Mesa's Vulkan layer for choosing a device asks the desktop which one it shows pictures on. Where
-//! there is no desktop it complains on stderr, as if something had failed; then it is left out.
+//! Mesa's Vulkan layer that selects a device asks the desktop which one it displays on. Without a
+//! desktop it complains on stderr as if something had failed, so it is then disabled.
 
-/// To be called before any thread is started.
+/// Call it before any thread is started.
 pub fn leave_out_without_desktop() {
     if cfg!(target_os = "linux") && std::env::var_os("XDG_RUNTIME_DIR").is_none() {
         // SAFETY: nothing else runs yet that could read the environment.

@@ -227,4 +227,8 @@ fn a_disk_that_fills_up() {
     assert_eq!(message.trim_end().lines().count(), 1, "{message}");
     let left = names(&folder.path().join("out"));
     assert!(!left.iter().any(|name| name.contains("map")), "{left:?}");
+    // All that does fit is there.
+    for file in ["frames.csv", "metrics.json", "trajectory.txt"] {
+        assert!(left.iter().any(|name| name == file), "{file}: {left:?}");
+    }
 }

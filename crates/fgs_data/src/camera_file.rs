@@ -48,6 +48,12 @@ struct Keys {
     distortion: Option<[f64; 5]>,
 }
 
+/// A configuration file, as far as it is about the camera.
+#[derive(Deserialize)]
+struct Configuration {
+    camera: Keys,
+}
+
 /// Replica's `cam_params.json` as NICE-SLAM lays it out.
 #[derive(Deserialize)]
 struct ReplicaFile {
@@ -102,7 +108,7 @@ impl CameraFile {
         })
     }
 
-    /// Reads `camera.toml`.
+    /// Reads a camera file such as `camera.toml`; see [`CameraFile::parse`].
     ///
     /// # Errors
     /// The file cannot be read, or [`CameraFile::parse`] refuses it.
@@ -110,12 +116,21 @@ impl CameraFile {
         Self::parse(&read_small_file(path)?, path)
     }
 
-    /// Parses the text of a camera file; `path` is where it came from, for messages.
+    /// Parses the text of a camera file: the keys alone, or a configuration that has them in a
+    /// `[camera]` table, whose other tables are not looked at. `path` is where the text came from,
+    /// for messages.
     ///
     /// # Errors
-    /// No TOML, missing, unknown or implausible values; with path and key.
+    /// Not TOML, or missing, unknown or implausible values; the message has path and key.
     pub fn parse(text: &str, path: &Path) -> Result<Self, DataError> {
-        let keys: Keys = toml::from_str(text).map_err(|error| DataError::CameraFile {
+        let parse = || {
+            if toml::from_str::<toml::Table>(text)?.contains_key("camera") {
+                toml::from_str::<Configuration>(text).map(|file| file.camera)
+            } else {
+                toml::from_str(text)
+            }
+        };
+        let keys: Keys = parse().map_err(|error| DataError::CameraFile {
             path: path.into(),
             line: error.span().and_then(|span| line_of(text, span)),
             message: error.message().replace('\n', " "),
@@ -252,6 +267,21 @@ mod tests {
         assert_eq!(file.distortion().unwrap().k3, 1.1633);
         let text = toml::to_string(&file).unwrap();
         assert_eq!(toml::from_str::<CameraFile>(&text).unwrap(), file);
+    }
+
+    #[test]
+    fn a_configuration_with_a_camera_table_is_a_camera_file_too() {
+        let path = Path::new("c.toml");
+        let text = format!("seed = 5\n\n[mapping]\nprune_every = 3\n\n[camera]\n{GOOD}");
+        let expected = CameraFile::parse(GOOD, path).unwrap();
+        assert_eq!(CameraFile::parse(&text, path).unwrap(), expected);
+        let refused = refusal(&text.replace("fy =", "focal ="));
+        assert!(
+            refused.starts_with("dir/camera.toml:10: unknown field `focal`"),
+            "{refused}"
+        );
+        let no_camera = refusal("seed = 5\n");
+        assert!(no_camera.contains("unknown field `seed`"), "{no_camera}");
     }
 
     #[test]

@@ -4,8 +4,7 @@
 //! The file's quaternion order, xyzw, exists in this file only. A [`Trajectory`] holds finite poses
 //! at strictly increasing times.
 
-use std::fs::{self, File};
-use std::io::{BufWriter, Write};
+use std::io::Write;
 use std::path::Path;
 
 use fgs_geom::Se3;
@@ -102,29 +101,18 @@ impl Trajectory {
     }
 
     /// Writes TUM's eight columns so that [`Trajectory::read`] gives the same numbers. The file
-    /// appears whole or not at all: it is written under another name and then renamed.
+    /// appears complete or not at all.
     ///
     /// # Errors
     /// The file cannot be written.
     pub fn write(&self, path: &Path) -> Result<(), DataError> {
-        let mut unfinished = path.as_os_str().to_owned();
-        unfinished.push(".unfinished");
-        let unfinished = Path::new(&unfinished);
-        let written = self
-            .write_lines(unfinished)
-            .and_then(|()| fs::rename(unfinished, path));
-        written.map_err(|source| {
-            // Best effort: the first error is the one to report.
-            let _ = fs::remove_file(unfinished);
-            DataError::Io {
-                path: path.into(),
-                source,
-            }
+        fgs_files::write_file(path, |file| self.write_lines(file)).map_err(|source| DataError::Io {
+            path: path.into(),
+            source,
         })
     }
 
-    fn write_lines(&self, path: &Path) -> std::io::Result<()> {
-        let mut file = BufWriter::new(File::create(path)?);
+    fn write_lines(&self, file: &mut impl Write) -> std::io::Result<()> {
         writeln!(file, "# timestamp tx ty tz qx qy qz qw")?;
         for pose in &self.poses {
             let t = pose.world_from_camera.translation;
@@ -136,7 +124,7 @@ impl Trajectory {
                 t.x, t.y, t.z, q.x, q.y, q.z, q.w
             )?;
         }
-        file.into_inner()?.sync_all()
+        Ok(())
     }
 
     /// The poses, in order of time.

@@ -33,6 +33,7 @@ pub struct Slam {
     graph: KeyframeGraph,
     keyframes: Vec<(KeyframeId, KeyframeKind, FrameIndex)>,
     frames: Vec<RecordedFrame>,
+    first: FrameIndex,
     start: Instant,
 }
 
@@ -150,8 +151,15 @@ impl Slam {
             graph: KeyframeGraph::new(),
             keyframes: Vec::new(),
             frames: Vec::new(),
+            first: FrameIndex(0),
             start: Instant::now(),
         })
+    }
+
+    /// The number of the first frame, for recordings that are not taken from their beginning: frames
+    /// that cannot be read are numbered on from it.
+    pub fn start_at(&mut self, first: FrameIndex) {
+        self.first = first;
     }
 
     /// A queue of up to `capacity` events. When it is full, events are missed and counted; the
@@ -320,8 +328,8 @@ impl Slam {
     }
 
     fn next_index(&self) -> FrameIndex {
-        let last = self.frames.last();
-        FrameIndex(last.map_or(0, |frame| frame.result.index.0 + 1))
+        let next = |frame: &RecordedFrame| FrameIndex(frame.result.index.0 + 1);
+        self.frames.last().map_or(self.first, next)
     }
 
     fn record_untracked(&mut self, index: FrameIndex, status: FrameStatus, error: Option<String>) {

@@ -14,7 +14,7 @@ use ply_rs_bw::ply::{
 };
 use ply_rs_bw::writer::Writer;
 use std::fs::File;
-use std::io::{self, BufRead, BufReader, BufWriter, ErrorKind, Write};
+use std::io::{self, BufRead, BufReader, ErrorKind, Write};
 use std::path::{Path, PathBuf};
 use thiserror::Error;
 
@@ -90,37 +90,25 @@ pub enum PlyError {
 /// # Errors
 /// If a parameter is not finite or the file cannot be written; nothing is then left behind.
 pub fn write_ply(path: &Path, gaussians: &Gaussians) -> Result<(), PlyError> {
-    let io_error = |source| PlyError::Io {
+    for i in 0..gaussians.len() {
+        Vertex::of(gaussians, i).check_finite(path, i)?;
+    }
+    fgs_files::write_file(path, |file| write(file, gaussians)).map_err(|source| PlyError::Io {
         path: path.to_owned(),
         source,
-    };
-    let folder = match path.parent() {
-        Some(folder) if folder != Path::new("") => folder,
-        _ => Path::new("."),
-    };
-    let mut builder = tempfile::Builder::new();
-    // Temporary files are private by default; the map is to be as readable as any other file.
-    #[cfg(unix)]
-    builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
-    let mut file = builder.tempfile_in(folder).map_err(io_error)?;
+    })
+}
 
+fn write(file: &mut impl Write, gaussians: &Gaussians) -> io::Result<()> {
     let header = header(gaussians.len());
     let writer = Writer::<Vertex>::new();
-    let mut out = BufWriter::new(file.as_file_mut());
-    writer.write_header(&mut out, &header).map_err(io_error)?;
+    writer.write_header(file, &header)?;
     for i in 0..gaussians.len() {
         let vertex = Vertex::of(gaussians, i);
-        vertex.check_finite(path, i)?;
         for element in header.elements.values() {
-            writer
-                .write_little_endian_element(&mut out, &vertex, element)
-                .map_err(io_error)?;
+            writer.write_little_endian_element(file, &vertex, element)?;
         }
     }
-    out.flush().map_err(io_error)?;
-    drop(out);
-    file.as_file().sync_all().map_err(io_error)?;
-    file.persist(path).map_err(|error| io_error(error.error))?;
     Ok(())
 }
 

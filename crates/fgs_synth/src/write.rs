@@ -7,6 +7,7 @@ use std::io::{self, BufWriter, Write};
 use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 
+use fgs_files::NewFolder;
 use fgs_geom::{Image, RgbdFrame};
 use image::codecs::jpeg::JpegEncoder;
 use image::codecs::png::{CompressionType, FilterType, PngEncoder};
@@ -58,15 +59,15 @@ pub fn write_tum(
     dir: &Path,
     progress: impl FnMut(usize) -> ControlFlow<()>,
 ) -> Result<(), SynthError> {
-    let unfinished = Unfinished::new(dir, &["rgb", "depth"])?;
+    let recording = Recording::begin(dir, &["rgb", "depth"])?;
     let mut rgb = String::from("# color images\n# timestamp filename\n");
     let mut depth = String::from("# depth maps\n# timestamp filename\n");
     let mut poses = String::from("# ground truth trajectory\n# timestamp tx ty tz qx qy qz qw\n");
     for_each_frame(sequence, progress, |frame| {
         let stamp = format!("{:.6}", frame.timestamp_secs);
         let (color_name, depth_name) = (format!("rgb/{stamp}.png"), format!("depth/{stamp}.png"));
-        unfinished.write(&color_name, |file| encode_png_color(&frame.color, file))?;
-        unfinished.write(&depth_name, |file| {
+        recording.write(&color_name, |file| encode_png_color(&frame.color, file))?;
+        recording.write(&depth_name, |file| {
             encode_depth(&frame.depth_m, TUM_DEPTH_SCALE, file)
         })?;
         rgb += &format!("{stamp} {color_name}\n");
@@ -82,10 +83,10 @@ pub fn write_tum(
         ("depth.txt", depth),
         ("groundtruth.txt", poses),
     ] {
-        unfinished.write_text(name, &text)?;
+        recording.write_text(name, &text)?;
     }
-    unfinished.write_text("camera.toml", &camera_toml(sequence, TUM_DEPTH_SCALE))?;
-    unfinished.finish()
+    recording.write_text("camera.toml", &camera_toml(sequence, TUM_DEPTH_SCALE))?;
+    recording.finish()
 }
 
 /// Writes `results/frameNNNNNN.jpg`, `results/depthNNNNNN.png` (6553.5 units a metre), `traj.txt`
@@ -99,14 +100,14 @@ pub fn write_replica(
     dir: &Path,
     progress: impl FnMut(usize) -> ControlFlow<()>,
 ) -> Result<(), SynthError> {
-    let unfinished = Unfinished::new(dir, &["results"])?;
+    let recording = Recording::begin(dir, &["results"])?;
     let mut poses = String::new();
     for_each_frame(sequence, progress, |frame| {
         let index = frame.index.0;
-        unfinished.write(&format!("results/frame{index:06}.jpg"), |file| {
+        recording.write(&format!("results/frame{index:06}.jpg"), |file| {
             encode_jpeg(&frame.color, file)
         })?;
-        unfinished.write(&format!("results/depth{index:06}.png"), |file| {
+        recording.write(&format!("results/depth{index:06}.png"), |file| {
             encode_depth(&frame.depth_m, REPLICA_DEPTH_SCALE, file)
         })?;
         let rows = sequence.world_from_camera(index).matrix().transpose();
@@ -114,9 +115,9 @@ pub fn write_replica(
         poses += &format!("{}\n", numbers.join(" "));
         Ok(())
     })?;
-    unfinished.write_text("traj.txt", &poses)?;
-    unfinished.write_text("camera.toml", &camera_toml(sequence, REPLICA_DEPTH_SCALE))?;
-    unfinished.finish()
+    recording.write_text("traj.txt", &poses)?;
+    recording.write_text("camera.toml", &camera_toml(sequence, REPLICA_DEPTH_SCALE))?;
+    recording.finish()
 }
 
 fn for_each_frame(
@@ -189,40 +190,20 @@ fn encode_jpeg(color: &Image<[u8; 3]>, file: &mut dyn Write) -> image::ImageResu
     )
 }
 
-/// A folder being written beside its final place; removed unless finished.
-struct Unfinished {
-    target: PathBuf,
-    folder: PathBuf,
-    is_finished: bool,
+/// A recording that is being written.
+struct Recording<'a> {
+    target: &'a Path,
+    folder: NewFolder,
 }
 
-impl Unfinished {
-    fn new(target: &Path, subfolders: &[&str]) -> Result<Self, SynthError> {
-        let exists = || SynthError::Exists {
-            path: target.to_owned(),
-        };
-        if fs::symlink_metadata(target).is_ok() {
-            return Err(exists());
-        }
-        // A path without a last part (such as `..`) names something that exists.
-        let name = target.file_name().ok_or_else(exists)?.to_string_lossy();
-        let folder = target.with_file_name(format!(".{name}.partial-{}", std::process::id()));
-        let make = |path: &Path| {
-            fs::create_dir(path).map_err(|source| SynthError::Io {
-                path: path.to_owned(),
-                source,
-            })
-        };
-        make(&folder)?;
-        let unfinished = Self {
-            target: target.to_owned(),
-            folder,
-            is_finished: false,
-        };
+impl<'a> Recording<'a> {
+    fn begin(target: &'a Path, subfolders: &[&str]) -> Result<Self, SynthError> {
+        let folder = NewFolder::begin(target).map_err(|source| refusal(target, source))?;
         for subfolder in subfolders {
-            make(&unfinished.folder.join(subfolder))?;
+            let path = folder.path().join(subfolder);
+            fs::create_dir(&path).map_err(|source| SynthError::Io { path, source })?;
         }
-        Ok(unfinished)
+        Ok(Self { target, folder })
     }
 
     fn write(
@@ -230,7 +211,7 @@ impl Unfinished {
         name: &str,
         encode: impl FnOnce(&mut dyn Write) -> image::ImageResult<()>,
     ) -> Result<(), SynthError> {
-        let path = self.folder.join(name);
+        let path = self.folder.path().join(name);
         let attempt = || -> image::ImageResult<()> {
             let mut file = BufWriter::new(fs::File::create_new(&path)?);
             encode(&mut file)?;
@@ -249,27 +230,18 @@ impl Unfinished {
         self.write(name, |file| Ok(file.write_all(text.as_bytes())?))
     }
 
-    fn finish(mut self) -> Result<(), SynthError> {
-        // Renaming would replace an empty folder made in the meantime.
-        if fs::symlink_metadata(&self.target).is_ok() {
-            return Err(SynthError::Exists {
-                path: self.target.clone(),
-            });
-        }
-        fs::rename(&self.folder, &self.target).map_err(|source| SynthError::Io {
-            path: self.target.clone(),
-            source,
-        })?;
-        self.is_finished = true;
-        Ok(())
+    fn finish(self) -> Result<(), SynthError> {
+        let target = self.target;
+        self.folder
+            .finish()
+            .map_err(|source| refusal(target, source))
     }
 }
 
-impl Drop for Unfinished {
-    fn drop(&mut self) {
-        if !self.is_finished {
-            // If this fails too, there is nobody to tell; the folder's name says what it is.
-            let _ = fs::remove_dir_all(&self.folder);
-        }
+fn refusal(target: &Path, source: io::Error) -> SynthError {
+    let path = target.to_owned();
+    match source.kind() {
+        io::ErrorKind::AlreadyExists => SynthError::Exists { path },
+        _ => SynthError::Io { path, source },
     }
 }

@@ -5,11 +5,10 @@ use std::path::Path;
 use anyhow::{Context, bail};
 use fgs_data::Dataset;
 use fgs_geom::{RgbdFrame, Se3};
+use fgs_run::{Settings, open_recording, recording_name};
 use fgs_synth::{SensorModel, Sequence, kinect_camera};
 
 use crate::failure::UsageError;
-use crate::recording;
-use crate::settings::Settings;
 
 /// Frames of a recording: 50 pairs of neighbours.
 const RECORDED_FRAMES: usize = 51;
@@ -44,7 +43,7 @@ impl Input {
 
     /// Of a recording, from its frame `first`.
     pub fn recorded(path: &Path, first: usize, camera: Option<&Path>) -> anyhow::Result<Self> {
-        let dataset = recording::open(path, camera, &mut Settings::default())?;
+        let dataset = open_recording(path, camera, &mut Settings::default())?;
         let truth = dataset
             .ground_truth()
             .context("the recording has no known poses")?;
@@ -64,7 +63,7 @@ impl Input {
             );
         }
         Ok(Self {
-            name: recording::name(path),
+            name: recording_name(path),
             dataset: Some(dataset),
             frames,
             world_from_camera,

@@ -1,4 +1,5 @@
-//! How well the colours of registered frames agree: the witness beside depth for a camera.
+//! How well the colours of registered frames agree: a second witness, besides depth, of whether the
+//! camera is right.
 
 use fgs_geom::{Camera, Image, Se3};
 
@@ -6,9 +7,9 @@ use super::frame_pairs::FramePair;
 use super::self_calibration::samples;
 use super::statistics::median;
 
-/// How far the colours of two frames disagree where both see the same points: the median
-/// difference of brightness, after the frames' own levels are made equal, over all pairs. `None`
-/// without a point in common.
+/// How far the colours of two frames disagree where both see the same points: the median absolute
+/// difference of brightness over all pairs, after equalising the frames' mean levels. `None` if no
+/// pair has a point in common.
 pub fn color_misfit(
     pairs: &[FramePair],
     first_from_second: &[Se3],
@@ -42,7 +43,7 @@ pub fn color_misfit(
     )
 }
 
-/// The mean over 5x5 pixels: evens out noise and the frames' different sharpness.
+/// The mean over 5x5 pixels, which evens out noise and differences in sharpness.
 fn local_mean(luma: &Image<f32>, u: f64, v: f64) -> Option<f64> {
     if !(u >= 2.0 && v >= 2.0 && u + 2.0 < luma.width() as f64 && v + 2.0 < luma.height() as f64) {
         return None;

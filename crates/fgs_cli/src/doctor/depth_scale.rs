@@ -1,28 +1,28 @@
-//! Whether depth is in metres: against known poses, whose translations have a length, else by what
-//! rooms and sensors allow.
+//! Whether depth is in metres: by comparison with the lengths of the ground truth's translations, or
+//! without ground truth by what is plausible for rooms and sensors.
 
 use super::motion_fit::MotionFit;
 use super::report::Check;
 
 const NAME: &str = "depth scale";
 
-/// Scales in use: millimetres (most sensors), TUM RGB-D, Replica, tenths of a millimetre.
+/// Common scales: millimetres (most sensors), TUM RGB-D, Replica, tenths of a millimetre.
 const USUAL_SCALES: [f64; 4] = [1000.0, 5000.0, 6553.5, 10000.0];
 
 /// Poses and depth of real recordings disagree by up to 4 %.
 const MAX_ERROR: f64 = 0.08;
 
-/// In standard errors, estimated from a few pairs only.
+/// In standard errors, which are themselves estimated from only a few pairs.
 const MIN_SIGNIFICANCE: f64 = 5.0;
 
-/// A scale this close to a usual one is taken for it.
+/// A scale this close to a common one is taken to be that one.
 const SNAP: f64 = 0.06;
 
-/// Median depths of a hand-held recording, metres: from a desk to a hall. A room taken for five
-/// times smaller (1000 for 5000 values a metre) comes out at 0.4 to 0.65 m.
+/// Plausible median depths of a hand-held recording, metres: from a desk to a hall. A room read as
+/// five times smaller (a scale of 5000 where it should be 1000) comes out at 0.4 to 0.65 m.
 const USUAL_MEDIAN_M: [f64; 2] = [0.7, 6.0];
 
-/// `fit` is how the motions by registration fit known poses.
+/// `fit` says how the registered motions fit the ground truth.
 pub fn check(depth_scale: f64, median_depth_m: Option<f64>, fit: Option<&MotionFit>) -> Check {
     let Some(median) = median_depth_m else {
         return Check::unknown(NAME, "there is no depth".into());
@@ -61,7 +61,7 @@ pub fn check(depth_scale: f64, median_depth_m: Option<f64>, fit: Option<&MotionF
     Check::warn(NAME, seen, advice)
 }
 
-/// The usual scale nearby, else three digits.
+/// The common scale nearby, else the scale to three digits.
 fn snapped(scale: f64) -> f64 {
     let usual = USUAL_SCALES
         .into_iter()

@@ -1,8 +1,9 @@
-//! Whether depth is registered to colour: steps in depth are edges of things, and edges of things
-//! show in colour at the same pixel.
+//! Whether depth is registered to colour: depth discontinuities are object boundaries, which show as
+//! colour edges at the same pixels.
 //!
-//! Input: some frames. The steps are moved and stretched about the image's centre until they lie
-//! on colour edges best; on registered recordings that is where they are.
+//! Input: some frames. The discontinuities are shifted, and stretched about the image's centre, to
+//! where they coincide best with colour edges; in a registered recording that is where they already
+//! are.
 
 use fgs_geom::{Image, RgbdFrame, has_depth};
 
@@ -10,48 +11,48 @@ use super::report::Check;
 
 const NAME: &str = "depth on colour";
 
-/// Shifts are searched on images about this wide, where a pixel is two of 640.
+/// Shifts are searched on images about this wide, where one pixel is two of 640.
 const WORKING_WIDTH: usize = 320;
 
 /// 24 of 640 pixels: an unregistered Kinect is off by 10 to 20.
 const MAX_SHIFT: i32 = 12;
 
-/// Stretches searched, per cent: fields of view of colour and depth differ by 5 to 20 %.
+/// Stretches searched, per cent: the fields of view of colour and depth cameras differ by 5 to 20 %.
 const STRETCHES: [i32; 13] = [-18, -15, -12, -9, -6, -3, 0, 3, 6, 9, 12, 15, 18];
 
-/// Neighbouring depths that differ by more than this share are a step.
+/// Neighbouring depths with a larger relative difference are a discontinuity (*step* for short).
 const MIN_STEP: f32 = 0.1;
 
-/// Structured light leaves a shadow without depth beside a step, up to 20 pixels of 640 wide.
+/// Structured light leaves a shadow without depth beside a step, up to 20 of 640 pixels wide.
 const MAX_SHADOW: usize = 10;
 
-/// Fewer steps than this say nothing.
+/// With fewer steps than this, nothing can be said.
 const MIN_STEPS: usize = 2000;
 
-/// Shift that is reported, pixels of the working image; calibrations of good recordings are a
-/// pixel of 640 or two off.
+/// Smallest shift that is reported, pixels of the working image; even good recordings are
+/// calibrated only to a pixel or two of 640.
 const MIN_SHIFT: f64 = 2.0;
 
-/// The agreement above that of random places grows by this factor at least, ...
+/// To be reported, a shift must improve the agreement over that of random places by this factor, ...
 const MIN_GAIN: f64 = 1.3;
 
-/// ... and by this many standard errors, from the frames' scatter.
+/// ... and by this many standard errors, estimated from the scatter between frames.
 const MIN_SIGNIFICANCE: f64 = 4.0;
 
 const SIDE: usize = 2 * MAX_SHIFT as usize + 1;
 
-/// Collects the agreement of depth steps with colour edges over frames.
+/// Collects how well depth steps agree with colour edges, over frames.
 #[derive(Default)]
 pub struct EdgeMatcher {
-    /// Of each frame, the agreement for each (stretch, row shift, column shift).
+    /// For each frame, the agreement at each (stretch, row shift, column shift).
     scores: Vec<Vec<f32>>,
     steps: usize,
-    /// Pixels of the recording in one of the working image.
+    /// Pixels of the recording per pixel of the working image.
     reduction: usize,
     width: usize,
 }
 
-/// A step of depth between two pixels, in the working image.
+/// A depth step between two pixels of the working image.
 struct Step {
     u: f32,
     v: f32,
@@ -59,7 +60,7 @@ struct Step {
 }
 
 impl EdgeMatcher {
-    /// Takes a frame.
+    /// Adds a frame.
     pub fn add(&mut self, frame: &RgbdFrame) {
         self.width = frame.camera.width;
         self.reduction = (self.width as f64 / WORKING_WIDTH as f64).round().max(1.0) as usize;
@@ -73,7 +74,7 @@ impl EdgeMatcher {
         self.scores.push(agreement(&steps, &horizontal, &vertical));
     }
 
-    /// What the frames say together.
+    /// The verdict over all frames.
     pub fn check(&self) -> Check {
         if self.steps < MIN_STEPS || self.scores.len() < 3 {
             let seen = "too few steps in depth to compare with edges in colour".into();
@@ -143,7 +144,7 @@ fn shift_at(place: usize) -> (i32, i32, i32) {
     (STRETCHES[stretch], shift(rest % SIDE), shift(rest / SIDE))
 }
 
-/// The mean strength of colour edges under the steps, for each stretch and shift.
+/// The mean strength of the colour edges at the steps, for each stretch and shift.
 fn agreement(steps: &[Step], horizontal: &Image<f32>, vertical: &Image<f32>) -> Vec<f32> {
     let center = [horizontal.width(), horizontal.height()].map(|size| 0.5 * (size as f32 - 1.0));
     let mut scores = Vec::with_capacity(STRETCHES.len() * SIDE * SIDE);
@@ -186,7 +187,7 @@ fn agreement(steps: &[Step], horizontal: &Image<f32>, vertical: &Image<f32>) -> 
     scores
 }
 
-/// Steps between horizontal and vertical neighbours, at the border of the nearer thing.
+/// Steps between horizontal and vertical neighbours, at the border of the nearer object.
 fn steps(depth_m: &Image<f32>, reduction: usize) -> Vec<Step> {
     let (width, height) = (depth_m.width(), depth_m.height());
     let mut steps = Vec::new();
@@ -221,7 +222,7 @@ fn steps(depth_m: &Image<f32>, reduction: usize) -> Vec<Step> {
     steps
 }
 
-/// Calls `found` with the place of each step on a line of pixels.
+/// Calls `found` with the position of each step on a line of pixels.
 fn along(len: usize, depth_at: impl Fn(usize) -> f32, mut found: impl FnMut(f32)) {
     let mut last: Option<(usize, f32)> = None;
     for place in 0..len {
@@ -244,7 +245,7 @@ fn along(len: usize, depth_at: impl Fn(usize) -> f32, mut found: impl FnMut(f32)
     }
 }
 
-/// Strength of edges along one direction, 0 to 1: half at twice the image's mean.
+/// Edge strength along one direction, 0 to 1; one half where the gradient is twice the image's mean.
 fn edges(luma: &Image<f32>, du: usize, dv: usize) -> Image<f32> {
     let slope = Image::from_fn(luma.width(), luma.height(), |u, v| {
         let ahead = luma.at(

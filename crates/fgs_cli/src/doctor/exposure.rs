@@ -1,5 +1,5 @@
-//! Whether brightness jumps from one frame to the next: tracking does not mind, but one map cannot
-//! have two brightnesses.
+//! Whether brightness jumps from one frame to the next. Tracking uses geometry and does not mind, but
+//! one map cannot show two brightnesses.
 
 use fgs_geom::{FrameIndex, Image};
 
@@ -8,13 +8,13 @@ use super::statistics::median;
 
 const NAME: &str = "exposure";
 
-/// Blocks of this many pixels a side are compared: between frames things move by less.
+/// Blocks with sides of this many pixels are compared: between frames, objects move by less.
 const BLOCK_PX: usize = 16;
 
-/// A step of brightness that shows: 10 %.
+/// A change of brightness that is visible: 10 %.
 const MIN_JUMP: f64 = 0.1;
 
-/// Blocks darker or brighter than this are clipped and say nothing.
+/// Blocks darker or brighter than this are clipped and are ignored.
 const USABLE: std::ops::RangeInclusive<f64> = 10.0..=245.0;
 
 /// Follows brightness from frame to frame.
@@ -25,12 +25,12 @@ pub struct ExposureWatch {
 }
 
 impl ExposureWatch {
-    /// The next frame does not follow the last one.
+    /// Says that the next frame does not directly follow the last one.
     pub fn interrupt(&mut self) {
         self.previous.clear();
     }
 
-    /// Takes the next frame.
+    /// Adds the next frame.
     pub fn add(&mut self, index: FrameIndex, color: &Image<[u8; 3]>) {
         let blocks = block_means(color);
         let is_usable =
@@ -43,7 +43,7 @@ impl ExposureWatch {
         self.previous = blocks;
     }
 
-    /// What the frames say together.
+    /// The verdict over all frames.
     pub fn check(&self) -> Check {
         let jumps = || self.steps.iter().filter(|(_, step)| step.abs() >= MIN_JUMP);
         let largest = self
@@ -96,7 +96,7 @@ mod tests {
     use super::*;
     use crate::doctor::report::Verdict;
 
-    /// A picture moved by `shift` pixels, in another light.
+    /// An image shifted by `shift` pixels and scaled in brightness.
     fn picture(shift: usize, light: f64) -> Image<[u8; 3]> {
         Image::from_fn(160, 96, |u, v| {
             let value = 100.0 + 60.0 * (((u + shift) as f64) / 9.0).sin() * (v as f64 / 7.0).cos();

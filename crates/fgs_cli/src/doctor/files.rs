@@ -6,10 +6,11 @@ use super::report::Check;
 
 const NAME: &str = "files";
 
-/// A run leaves out damaged frames; more than this share of them are a fault of the whole.
+/// A run skips damaged frames; if more than this share is damaged, something is wrong with the whole
+/// recording.
 const MAX_SHARE: f64 = 0.1;
 
-/// Checks the frames that could not be read, with the reason, of `frames` tried.
+/// Judges the frames that could not be read, each with the reason, out of `frames` tried.
 pub fn check(unreadable: &[(FrameIndex, String)], frames: usize) -> Check {
     let Some((index, reason)) = unreadable.first() else {
         return Check::ok(NAME, format!("all {frames} frames read are sound"));

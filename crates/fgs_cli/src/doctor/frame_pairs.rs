@@ -1,32 +1,32 @@
 //! Pairs of frames with motion between them, registered by geometry alone.
 //!
-//! Input: frames in order. Each is registered to the first frame of its pair, starting from the
-//! motion so far, until the views overlap too little or the pair gets too long; the last frame
-//! that fitted ends the pair and opens the next.
-//! Invariant: distances count in units of the scene's depth, so a wrong depth scale changes
-//! nothing but the lengths of the translations.
+//! Input: frames in order. Each is registered to the first frame of the current pair, starting from
+//! the motion so far, until the views overlap too little or the pair gets too long; the last frame
+//! that could be registered ends the pair and starts the next.
+//! Invariant: distances are measured in units of the scene's depth, so a wrong depth scale changes
+//! only the lengths of the translations.
 
 use fgs_geom::{Camera, FrameIndex, Image, RgbdFrame, Se3};
 use fgs_gicp::{Alignment, DepthGrid, Kernel, MIN_EIGENVALUE, Point, PointMap, Settings, align};
 
 use super::statistics::median_depth;
 
-/// Grid points a frame: hold six degrees of freedom to a small part of a pixel.
+/// Grid points per frame: enough to determine six degrees of freedom to a small fraction of a pixel.
 pub const GRID_POINTS: f64 = 3000.0;
 
-/// With fewer partners than this share of its points, a frame overlaps the pair's first too little
-/// to tell a bad fit from another view.
+/// Smallest inlier ratio: below it, a frame overlaps the pair's first one too little to tell a failed
+/// registration from a different view.
 const MIN_INLIER_SHARE: f64 = 0.7;
 
-/// Weaker directions are slides along a plane: a wall alone gives 1e-3.
+/// Smallest conditioning; below it the view can slide along a plane: a single wall gives 1e-3.
 const MIN_CONDITIONING: f64 = 2e-3;
 
-/// A second of the usual 30 Hz, in which a hand moves by 20 cm and 10 degrees: a hundred times
-/// the registration's error.
+/// Longest pair, in frames: one second at the usual 30 Hz, in which a hand moves by 20 cm and 10
+/// degrees, a hundred times the registration's error.
 const MAX_PAIR_FRAMES: usize = 30;
 
-/// The median depth of a pair's first frame is made this long, metres: the distances of
-/// [`settings`] are chosen for rooms.
+/// Scenes are scaled so that the median depth of a pair's first frame is this, metres: the distances
+/// in [`settings`] are chosen for rooms.
 const WORKING_DEPTH_M: f32 = 2.0;
 
 /// Two frames and the motion between them.
@@ -35,9 +35,9 @@ pub struct FramePair {
     pub first: Side,
     /// The later frame.
     pub second: Side,
-    /// By registration; metres as the recording's depth has them.
+    /// The registered motion, in the metres of the recording's depth.
     pub first_from_second: Se3,
-    /// Median depth of the first frame, metres as the recording's depth has them.
+    /// Median depth of the first frame, in the metres of the recording's depth.
     pub median_depth_m: f64,
 }
 
@@ -46,30 +46,30 @@ pub struct FramePair {
 pub struct Side {
     /// Seconds on the recording's clock.
     pub timestamp_secs: f64,
-    /// Depth, metres as the recording has them.
+    /// Depth, in the metres of the recording.
     pub depth_m: Image<f32>,
     /// Brightness, 0 to 255.
     pub luma: Image<f32>,
 }
 
-/// Makes pairs of the frames it is given.
+/// Forms pairs from the frames it is given.
 pub struct PairBuilder {
     camera: Camera,
     open: Option<OpenPair>,
     /// The pairs so far.
     pub pairs: Vec<FramePair>,
-    /// Frames that do not fit the frame before.
+    /// Frames that could not be registered to the one before.
     pub lost: Vec<FrameIndex>,
 }
 
 /// A pair that may still grow.
 struct OpenPair {
     first: Side,
-    /// Metres of the recording in a metre of the registration.
+    /// Metres of the recording per metre of the registration.
     unit: f32,
     target: PointMap,
     frames: usize,
-    /// The last frame that fitted.
+    /// The last frame that could be registered.
     last: Option<Side>,
     first_from_last: Se3,
     previous_from_last: Se3,
@@ -86,13 +86,13 @@ impl PairBuilder {
         }
     }
 
-    /// The next frame does not follow the last one: ends the pair.
+    /// Says that the next frame does not directly follow the last one: ends the pair.
     pub fn interrupt(&mut self) {
         self.pairs
             .extend(self.open.take().and_then(|open| open.close().0));
     }
 
-    /// Takes the next frame.
+    /// Adds the next frame.
     pub fn add(&mut self, frame: &RgbdFrame) {
         let Some(mut open) = self.open.take() else {
             self.open = OpenPair::new(Side::new(frame), &self.camera);
@@ -142,7 +142,7 @@ impl OpenPair {
         })
     }
 
-    /// Whether the frame fits; if it does, it is the pair's last.
+    /// Whether the frame can be registered; if so, it becomes the pair's last.
     fn extend(&mut self, frame: &RgbdFrame, camera: &Camera) -> bool {
         let source = points(&frame.depth_m, camera, self.unit);
         let start = self.first_from_last * self.previous_from_last;
@@ -199,8 +199,8 @@ impl Side {
     }
 }
 
-/// At [`WORKING_DEPTH_M`] 3 cm are 8 pixels: more than prediction and noise are off. The kernel's
-/// centimetre is twice the noise there.
+/// At [`WORKING_DEPTH_M`], 3 cm are 8 pixels, more than the error of prediction and noise together.
+/// The robust kernel's centimetre is twice the noise there.
 fn settings() -> Settings {
     Settings {
         max_correspondence_distance_m: 0.06,
@@ -220,7 +220,7 @@ fn points(depth_m: &Image<f32>, camera: &Camera, unit: f32) -> Vec<Point> {
         .collect()
 }
 
-/// About [`GRID_POINTS`] pixels all over the image.
+/// A grid of about [`GRID_POINTS`] pixels over the whole image.
 pub fn grid(camera: &Camera) -> DepthGrid {
     let pixels = (camera.width * camera.height) as f64;
     DepthGrid {

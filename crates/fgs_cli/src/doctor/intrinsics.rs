@@ -1,9 +1,9 @@
-//! Whether focal lengths and principal point are right: the camera that fits the recording best
-//! ([`super::self_calibration`]) against the one given.
+//! Whether focal lengths and principal point are right: compares the given camera with the one that
+//! fits the recording best ([`super::self_calibration`]).
 //!
-//! A finding needs three things: a large change, larger than its standard error by far, and depth
-//! and colours of different frames that agree better with it. Real depth sensors bend space
-//! somewhat, which looks like wrong intrinsics to depth, but not to colour.
+//! A problem is reported only if the change is large, far larger than its standard error, and makes
+//! both depth and colours of different frames agree better. Real depth sensors distort space
+//! slightly, which looks like wrong intrinsics in depth, but not in colour.
 
 use fgs_geom::Camera;
 
@@ -14,23 +14,23 @@ use super::self_calibration::{Calibration, calibrate};
 
 const NAME: &str = "intrinsics";
 
-/// Smaller changes cannot be told from a structured-light sensor's own bending (5 % of the focal
-/// length and 4 % of the width have been seen).
+/// Smaller changes cannot be told from the distortion of a structured-light sensor (up to 5 % of the
+/// focal length and 4 % of the width have been observed).
 const MIN_CHANGE: [f64; 4] = [0.08, 0.08, 0.06, 0.06];
 
-/// In standard errors; they are estimates themselves, from a few pairs only.
+/// In standard errors, which are themselves estimated from only a few pairs.
 const MIN_SIGNIFICANCE: f64 = 5.0;
 
-/// A focal length whose logarithm has a larger standard error is not observed.
+/// A focal length whose logarithm has a larger standard error counts as unobservable.
 const MAX_STANDARD_ERROR: f64 = 0.03;
 
-/// Depth misfit times colour misfit has to fall to this share of itself. On good recordings it
-/// stays within a few per cent; a focal length wrong by a quarter halves it.
+/// The product of depth and colour misfit has to fall to this share. On good recordings it changes by
+/// a few per cent only; correcting a focal length that is off by a quarter halves it.
 const MAX_MISFIT_SHARE: f64 = 0.88;
 
-/// Compares the given camera with the one that fits; also returns that one's calibration if they
-/// differ. Depth that is not registered to colour follows the depth camera's intrinsics: then a
-/// difference is no fault of the camera file.
+/// Compares the given camera with the best fitting one, and returns the latter's calibration if they
+/// differ. Depth that is not registered to colour follows the depth camera's intrinsics; a difference
+/// then does not mean that the camera file is wrong.
 pub fn check(
     pairs: &[FramePair],
     given: &Camera,
@@ -69,7 +69,7 @@ pub fn check(
     (check, None)
 }
 
-/// Product of depth and colour misfit with the fitting camera, as a share of that with the given.
+/// Product of depth and colour misfit with the best fitting camera, relative to that with the given.
 fn misfit_share(pairs: &[FramePair], given: &Camera, fitting: &Calibration) -> Option<f64> {
     let motions: Vec<_> = pairs.iter().map(|pair| pair.first_from_second).collect();
     let color_before = color_misfit(pairs, &motions, given, given)?;

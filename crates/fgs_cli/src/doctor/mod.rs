@@ -1,8 +1,8 @@
-//! `fgs doctor`: looks at a recording before it is run, and says what is wrong with it and what to
+//! `fgs doctor`: examines a recording before it is run, and says what is wrong with it and what to
 //! change.
 //!
-//! [`survey`] reads frames and registers neighbours; every check is a function in a file of its
-//! own, from what the survey collected to a line of the [`report`].
+//! [`survey`] reads frames and registers neighbours. Each check has a file of its own and turns what
+//! the survey has collected into one line of the [`report`].
 
 mod color_misfit;
 mod depth_scale;
@@ -31,42 +31,42 @@ use std::path::PathBuf;
 use clap::Args;
 use fgs_data::{Dataset, Format};
 use fgs_geom::{Camera, Se3};
+use fgs_run::{Settings, open_recording};
 use nalgebra::Vector3;
 
 use crate::console::Console;
 use crate::failure::{EXIT_DONE, EXIT_FAILED};
-use crate::recording;
-use crate::settings::Settings;
 
 use frame_pairs::FramePair;
 use motion_fit::Motion;
 use report::{Found, Report, Verdict};
 use survey::Survey;
 
-/// Look at a recording before running it
+/// Examine a recording before running it
 ///
-/// Says what is there and looks for what commonly is wrong with recordings: gaps, missing depth,
-/// jumps of exposure, wrong depth scale or intrinsics, depth that is not registered to colour, poses
-/// in another convention; and what to change.
+/// Lists what the recording holds and checks for common problems: gaps, missing depth, jumps in
+/// exposure, a wrong depth scale or wrong intrinsics, depth that is not registered to colour, poses in
+/// another convention. Says what to change.
 #[derive(Debug, Args)]
 #[command(after_long_help = "\
 Examples:
   fgs doctor recordings/desk
   fgs doctor recordings/desk --camera kinect.toml --json
 
-Camera: --camera, then the one beside the recording, then [camera] in --config.
+The camera comes from --camera, else from the recording, else from [camera] in --config. --camera also
+takes a settings file that has a [camera] table.
 
-ok: nothing found. unknown: the recording does not allow to tell. warn: results may suffer.
+ok: nothing found. unknown: the recording does not show it either way. warn: results may suffer.
 PROBLEM: results will be wrong; the line below says what to change.
 
-Exit code: 0 no problem, 1 a problem or the recording cannot be opened, 2 to be corrected by you.")]
+Exit code: 0 no problem, 1 a problem or the recording cannot be opened, 2 usage error.")]
 pub struct DoctorArgs {
     /// Folder of the recording
     dataset: PathBuf,
-    /// Settings, as TOML; only their [camera] counts
+    /// Settings file (TOML); only its [camera] is used
     #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
-    /// Camera file; goes before the one beside the recording
+    /// Camera file; overrides the recording's own camera
     #[arg(long, value_name = "FILE")]
     camera: Option<PathBuf>,
     /// Write the report to stdout as JSON
@@ -81,7 +81,7 @@ pub struct DoctorArgs {
 pub fn run(args: &DoctorArgs) -> anyhow::Result<u8> {
     let console = Console::new(args.json);
     let mut settings = Settings::load(args.config.as_deref(), &[])?;
-    let dataset = recording::open(&args.dataset, args.camera.as_deref(), &mut settings)?;
+    let dataset = open_recording(&args.dataset, args.camera.as_deref(), &mut settings)?;
     let bar = console.progress(survey::frames_to_read(dataset.len()), "looking");
     let report = examine(&dataset, || bar.inc(1));
     bar.finish_and_clear();
@@ -94,7 +94,7 @@ pub fn run(args: &DoctorArgs) -> anyhow::Result<u8> {
     })
 }
 
-/// Reads the recording and makes every check.
+/// Reads the recording and runs every check.
 fn examine(dataset: &Dataset, progress: impl FnMut()) -> Report {
     let times: Vec<f64> = dataset.timestamps().collect();
     let survey = Survey::read(dataset, progress);
@@ -155,7 +155,7 @@ fn examine(dataset: &Dataset, progress: impl FnMut()) -> Report {
     }
 }
 
-/// The image's corners and centre at the pair's median depth.
+/// The image's corners and centre, unprojected to the pair's median depth.
 fn probe_points(pair: &FramePair, camera: &Camera) -> Vec<Vector3<f64>> {
     let (right, bottom) = (camera.width as f64 - 1.0, camera.height as f64 - 1.0);
     [

@@ -1,24 +1,24 @@
-//! How well given motions explain registered ones, whatever the unit of length.
+//! How well given motions explain registered ones, up to an unknown scale.
 
 use fgs_geom::Se3;
 use nalgebra::Vector3;
 
-/// A registered motion and points that it moves.
+/// A registered motion, and points to measure it by.
 pub struct Motion {
-    /// By registration.
+    /// The registered motion.
     pub first_from_second: Se3,
-    /// Points of the scene in the second frame's axes.
+    /// Points of the scene, in the second frame's camera axes.
     pub points: Vec<Vector3<f64>>,
 }
 
 /// How given motions explain registered ones.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MotionFit {
-    /// The part of the points' displacements that is not explained: 0 is a perfect fit, 1 as good
-    /// as no motion at all.
+    /// The share of the points' displacements that is left unexplained: 0 is a perfect fit, 1 no better
+    /// than assuming no motion.
     pub misfit: f64,
-    /// The registered translations are this many times the given ones; 0 if they do not agree in
-    /// direction.
+    /// Length of the registered translations relative to the given ones; 0 if their directions
+    /// disagree.
     pub scale: f64,
     /// Standard error of `scale`.
     pub scale_error: f64,

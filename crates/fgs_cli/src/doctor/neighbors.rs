@@ -1,4 +1,4 @@
-//! Whether each frame fits the one before, as tracking needs it to.
+//! Whether each frame can be registered to the one before, as tracking needs.
 
 use fgs_geom::FrameIndex;
 
@@ -6,10 +6,10 @@ use super::report::Check;
 
 const NAME: &str = "neighbouring frames";
 
-/// More lost frames than this share will end in a lost track.
+/// With a larger share of lost frames, tracking will fail.
 const MAX_LOST_SHARE: f64 = 0.05;
 
-/// Checks the frames that could not be registered to the one before, of `frames` tried.
+/// Judges the frames that could not be registered to the one before, out of `frames` tried.
 pub fn check(lost: &[FrameIndex], frames: usize) -> Check {
     let Some(first) = lost.first() else {
         return match frames {

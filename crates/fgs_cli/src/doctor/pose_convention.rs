@@ -1,15 +1,15 @@
-//! What a pose may mean instead of `world_from_camera` with x right, y down and z forward: the
-//! mistakes that programs writing poses make.
+//! Conventions other than `world_from_camera` with x right, y down and z forward: the common mistakes
+//! of programs that write poses.
 
 use std::fmt;
 
 use fgs_geom::Se3;
 use nalgebra::{Matrix3, Matrix4, Vector3};
 
-/// One way to read a pose.
+/// One way to interpret a pose.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Convention {
-    /// What the file's numbers hold.
+    /// What the file's numbers stand for.
     stored: Stored,
     /// `ours_from_theirs`: maps the file's camera axes to ours; a signed permutation.
     axes: Matrix3<f64>,
@@ -19,14 +19,14 @@ pub struct Convention {
 enum Stored {
     WorldFromCamera,
     CameraFromWorld,
-    /// The quaternion's real part comes first, but was read as if it came last.
+    /// The quaternion's real part comes first, but was read as if last.
     QuaternionWxyz,
-    /// The rotation is the inverse's, the position is not.
+    /// The rotation is inverted, the position is not.
     RotationTransposed,
 }
 
 impl Convention {
-    /// The one all recordings should have.
+    /// The convention that recordings should have.
     pub fn expected() -> Self {
         Self {
             stored: Stored::WorldFromCamera,
@@ -34,7 +34,7 @@ impl Convention {
         }
     }
 
-    /// All the others, the simpler ones first.
+    /// All other conventions, simpler ones first.
     pub fn mistakes() -> Vec<Self> {
         let with = |stored, axes| Self { stored, axes };
         let expected_axes = Matrix3::identity();
@@ -50,7 +50,7 @@ impl Convention {
         mistakes
     }
 
-    /// `first_from_second` in our camera axes from two poses as read.
+    /// `first_from_second` in our camera axes, from two poses as read.
     pub fn motion(&self, first: &Se3, second: &Se3) -> Option<Se3> {
         let [first, second] = [first, second].map(|pose| match self.stored {
             Stored::WorldFromCamera => Some(*pose),
@@ -67,7 +67,7 @@ impl Convention {
         Se3::from_matrix(&turned)
     }
 
-    /// What to do with the poses.
+    /// How to correct the poses.
     pub fn advice(&self) -> String {
         let stored = match self.stored {
             Stored::WorldFromCamera => None,
@@ -127,8 +127,8 @@ impl fmt::Display for Rows {
     }
 }
 
-/// The 47 signed permutations of the axes other than the identity: rotations first, and OpenGL's
-/// (x right, y up, z backward) before all.
+/// The 47 signed permutations of the axes other than the identity: rotations first, with OpenGL's
+/// (x right, y up, z backward) at the front.
 fn signed_permutations() -> Vec<Matrix3<f64>> {
     let orders = [
         [0, 1, 2],

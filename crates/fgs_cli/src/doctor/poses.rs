@@ -1,5 +1,5 @@
-//! Whether the known poses are what they should be: motions between frames by registration
-//! against those by the poses, read in every way that is a common mistake.
+//! Whether the ground-truth poses follow the expected convention: compares the motions between frames
+//! found by registration with those of the poses, interpreted in every commonly mistaken way.
 
 use fgs_geom::Se3;
 
@@ -9,17 +9,17 @@ use super::report::Check;
 
 const NAME: &str = "poses";
 
-/// Measured poses and a sensor's own bending leave up to a fifth of the motion unexplained.
+/// Errors of measured poses and sensor distortion leave up to a fifth of the motion unexplained.
 const MAX_MISFIT: f64 = 0.35;
 
-/// Another reading has to explain more: among a hundred some are right by half by chance.
+/// Another convention has to explain more: among a hundred, some explain half by chance.
 const MAX_MISTAKE_MISFIT: f64 = 0.15;
 
-/// The simplest convention within this factor of the best (and a hundredth) is taken.
+/// The simplest convention within this factor (plus 0.01) of the best is taken.
 const EQUALLY_GOOD: f64 = 1.2;
 
-/// Compares poses, two for each motion, with the motions; also returns how the motions fit if the
-/// poses can be read.
+/// Compares poses, two for each motion, with the motions. Also returns how well the motions fit, if
+/// the poses' convention is known.
 pub fn check(motions: &[Motion], poses: &[[Se3; 2]]) -> (Check, Option<MotionFit>) {
     let fit_as = |convention: &Convention| {
         let given: Option<Vec<Se3>> = poses

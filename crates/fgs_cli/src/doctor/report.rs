@@ -1,4 +1,4 @@
-//! What the checks say, for people and as JSON.
+//! The results of the checks, as text and as JSON.
 
 use std::fmt;
 
@@ -10,7 +10,7 @@ use serde::Serialize;
 pub enum Verdict {
     /// Nothing found.
     Ok,
-    /// The recording does not allow to tell.
+    /// The recording does not show it either way.
     Unknown,
     /// Results may suffer.
     Warn,
@@ -18,14 +18,14 @@ pub enum Verdict {
     Problem,
 }
 
-/// One check's answer.
+/// The result of one check.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Check {
-    /// What was looked at.
+    /// What was checked.
     pub name: &'static str,
     /// How it ended.
     pub verdict: Verdict,
-    /// What was seen, one line with numbers.
+    /// What was found: one line, with numbers.
     pub seen: String,
     /// What to change; `None` where there is nothing to do.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -43,7 +43,7 @@ impl Check {
         }
     }
 
-    /// The recording does not allow to tell.
+    /// The recording does not show it either way.
     pub fn unknown(name: &'static str, seen: String) -> Self {
         Self {
             verdict: Verdict::Unknown,
@@ -72,13 +72,13 @@ impl Check {
 /// What the recording holds.
 #[derive(Clone, Debug, Serialize)]
 pub struct Found {
-    /// Layout of the folder.
+    /// The folder's layout.
     pub format: String,
     /// Number of frames.
     pub frames: usize,
     /// Number of frames that were read.
     pub frames_read: usize,
-    /// Frames whose pose is known; 0: no ground truth.
+    /// Frames with a ground-truth pose; 0 without ground truth.
     pub known_poses: usize,
     /// From the first frame to the last, seconds.
     pub duration_secs: f64,
@@ -94,7 +94,7 @@ pub struct Found {
     pub cx: f64,
     /// Row of the principal point.
     pub cy: f64,
-    /// Value in a depth image that means 1 m.
+    /// The value in a depth image that stands for 1 m.
     pub depth_scale: f64,
 }
 
@@ -103,12 +103,12 @@ pub struct Found {
 pub struct Report {
     /// What the recording holds.
     pub found: Found,
-    /// The checks, in the order they were made.
+    /// The checks, in the order in which they were run.
     pub checks: Vec<Check>,
 }
 
 impl Report {
-    /// Whether a check ended with a problem.
+    /// Whether any check found a problem.
     pub fn has_problem(&self) -> bool {
         self.checks
             .iter()

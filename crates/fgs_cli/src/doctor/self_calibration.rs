@@ -1,11 +1,11 @@
 //! Intrinsics from depth alone: frames that see the same surfaces from different directions agree
-//! only under the camera's true focal lengths and principal point.
+//! only with the camera's true focal lengths and principal point.
 //!
-//! Input: registered pairs. Output: the intrinsics under which each pair's depth agrees best, with
-//! standard errors. Gauss-Newton over one camera and every pair's motion; the motions are
-//! eliminated (Schur complement). Motions without rotation say nothing about the camera, because
-//! space sheared by wrong intrinsics is as rigid under translation as the true one: then the
-//! standard errors are large.
+//! Input: registered pairs. Output: the intrinsics for which the pairs' depths agree best, with
+//! standard errors. Gauss-Newton over the camera and every pair's motion; the motions are eliminated
+//! (Schur complement). Pure translations say nothing about the camera, because the space that wrong
+//! intrinsics reconstruct is sheared but stays consistent under them; the standard errors are then
+//! large.
 
 use fgs_geom::{Camera, Intrinsics, Se3};
 use fgs_gicp::SurfacePoint;
@@ -16,31 +16,31 @@ use super::statistics::median;
 
 type Vector10 = SVector<f64, 10>;
 
-/// Steps far off halve the error at least; this leaves a thousandth of it.
+/// Far from the solution each step at least halves the error; this many leave a thousandth of it.
 const MAX_ITERATIONS: usize = 10;
 
-/// Converged when no parameter changes by more; far below what anyone would correct.
+/// Converged when no parameter changes by more; far below any correction that matters.
 const MAX_LAST_STEP: f64 = 1e-4;
 
-/// Points whose depths differ by more than this share lie on different things.
+/// Points whose depths differ by a larger share lie on different objects.
 const MAX_RESIDUAL: f64 = 0.1;
 
-/// Fewer points in common than this do not hold a motion.
+/// Fewer common points than this do not determine a motion.
 const MIN_POINTS: usize = 100;
 
-/// What is plausible beforehand, standard deviations of [`Calibration::change`]. It matters only
-/// to what the pairs leave open.
+/// Standard deviations of the prior on [`Calibration::change`]. It matters only for what the pairs
+/// leave undetermined.
 const PRIOR: [f64; 4] = [0.2, 0.2, 0.05, 0.05];
 
-/// Intrinsics that fit.
+/// The best fitting intrinsics.
 pub struct Calibration {
-    /// ln fx, ln fy, cx / width and cy / height: best fitting less given.
+    /// Change of ln fx, ln fy, cx / width and cy / height: best fitting minus given.
     pub change: Vector4<f64>,
-    /// Of `change`, from the disagreement among the pairs.
+    /// Standard errors of `change`, from the disagreement between pairs.
     pub standard_error: Vector4<f64>,
     /// The best fitting camera.
     pub camera: Camera,
-    /// `first_from_second` of each pair with that camera.
+    /// `first_from_second` of each pair, with that camera.
     pub first_from_second: Vec<Se3>,
     /// Median relative depth difference before and after.
     pub residual: [f64; 2],
@@ -52,16 +52,16 @@ pub struct Sample {
     pub u: f64,
     /// Row.
     pub v: f64,
-    /// Metres as the recording's depth has them.
+    /// In the metres of the recording's depth.
     pub depth_m: f64,
 }
 
 /// One Gauss-Newton step.
 struct Step {
     change: Vector4<f64>,
-    /// Of the camera's parameters.
+    /// Change of the camera's parameters.
     standard_error: Vector4<f64>,
-    /// Of each pair's motion.
+    /// Change of each pair's motion.
     motions: Vec<Vector6<f64>>,
 }
 
@@ -75,8 +75,8 @@ struct PairSystem {
     median_residual: f64,
 }
 
-/// The camera that fits the pairs best, sought from the given one. `None` if there are fewer than
-/// two pairs or if they have too little in common.
+/// The camera that fits the pairs best, starting from the given one. `None` if there are fewer than
+/// two pairs, or if they have too few points in common.
 pub fn calibrate(pairs: &[FramePair], given: &Camera) -> Option<Calibration> {
     let samples: Vec<Vec<Sample>> = pairs.iter().map(|pair| samples(pair, given)).collect();
     let mut motions: Vec<Se3> = pairs.iter().map(|pair| pair.first_from_second).collect();
@@ -192,10 +192,10 @@ fn linearize(
 }
 
 /// Relative difference between the depth of a point of the second frame and the first frame's
-/// surface there, and its derivatives by `[omega, v]` of the motion (right perturbation) and by
-/// [`Calibration::change`].
+/// surface there, and its derivatives with respect to `[omega, v]` of the motion (right perturbation)
+/// and to [`Calibration::change`].
 ///
-/// The surface's inverse depth is `1/z = a (u - u0) + b (v - v0) + c` whatever the camera, so with
+/// A plane's inverse depth is `1/z = a (u - u0) + b (v - v0) + c` whatever the camera, so with
 /// `y = R x + t` the difference `y.z / z - 1` is `m . y - 1` for
 /// `m = (a fx, b fy, c + a (cx - u0) + b (cy - v0))`.
 fn row(
@@ -226,7 +226,7 @@ fn row(
     (m.dot(&y) - 1.0, jacobian)
 }
 
-/// The grid pixels of a pair's second frame that have a surface.
+/// The grid pixels of a pair's second frame that lie on a surface.
 pub fn samples(pair: &FramePair, camera: &Camera) -> Vec<Sample> {
     let points = grid(camera).surface_points(&pair.second.depth_m, camera);
     let sample = |point: SurfacePoint| Sample {

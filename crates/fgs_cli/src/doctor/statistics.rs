@@ -1,23 +1,23 @@
-//! Medians and shares of an image's pixels.
+//! Medians and quantiles, and those of an image's depths.
 
 use fgs_geom::{Image, has_depth};
 
-/// Enough pixels for a median: its error is below a thousandth of the spread.
+/// Pixels sampled for a median: its error is then below a thousandth of the spread.
 const SAMPLES: usize = 20_000;
 
-/// The value that half of the values lie below; `None` of nothing.
+/// The median; `None` without values.
 pub fn median(mut values: Vec<f64>) -> Option<f64> {
     quantile(&mut values, 0.5)
 }
 
-/// The value that a share of the values lies below; `None` of nothing.
+/// The quantile at `share`, 0 to 1; `None` without values.
 pub fn quantile(values: &mut [f64], share: f64) -> Option<f64> {
     let place = (values.len() as f64 * share) as usize;
     let place = place.min(values.len().checked_sub(1)?);
     Some(*values.select_nth_unstable_by(place, f64::total_cmp).1)
 }
 
-/// The median of the measured depth, metres; `None` if there is none.
+/// The median of the valid depths, metres; `None` if there are none.
 pub fn median_depth(depth_m: &Image<f32>) -> Option<f32> {
     let step = (depth_m.data().len() / SAMPLES).max(1);
     // An even step would meet the same columns in every row.
@@ -29,7 +29,7 @@ pub fn median_depth(depth_m: &Image<f32>) -> Option<f32> {
     median(valid.collect()).map(|depth| depth as f32)
 }
 
-/// The share of pixels with a depth.
+/// The share of pixels with valid depth.
 pub fn depth_share(depth_m: &Image<f32>) -> f64 {
     let valid = depth_m
         .data()

@@ -1,4 +1,4 @@
-//! Reads frames for the checks: all of a short recording, stretches of a long one.
+//! Reads frames for the checks: all frames of a short recording, stretches of a long one.
 
 use std::ops::Range;
 
@@ -11,28 +11,28 @@ use super::frame_pairs::PairBuilder;
 use super::statistics::{depth_share, median_depth};
 use super::timing;
 
-/// Frames read at most: about 10 s of one core at 640x480.
+/// Most frames that are read: they take one core about 10 s at 640x480.
 const MAX_FRAMES: usize = 600;
 
-/// A long recording is read in stretches of a second of the usual 30 Hz.
+/// A long recording is read in stretches of one second at the usual 30 Hz.
 const STRETCH: usize = 30;
 
-/// Frames whose edges are compared, evenly spread: enough to tell a shift of a pixel.
+/// Frames whose edges are compared, evenly spread: enough to detect a shift of a pixel.
 const EDGE_FRAMES: usize = 24;
 
-/// What the frames read have shown.
+/// What was learned from the frames.
 pub struct Survey {
     /// Frames that cannot be read, and why.
     pub unreadable: Vec<(FrameIndex, String)>,
-    /// Share of pixels with a depth.
+    /// Share of pixels with valid depth, for each frame.
     pub depth_shares: Vec<(FrameIndex, f64)>,
-    /// Median depth of each frame that has any, metres.
+    /// Median depth of each frame that has valid depth, metres.
     pub median_depths_m: Vec<f64>,
-    /// Brightness.
+    /// Brightness from frame to frame.
     pub exposure: ExposureWatch,
-    /// Edges.
+    /// Agreement of depth with colour edges.
     pub edges: EdgeMatcher,
-    /// Motions.
+    /// Registered motions.
     pub pairs: PairBuilder,
 }
 
@@ -73,7 +73,7 @@ impl Survey {
         survey
     }
 
-    /// How many frames were read or tried.
+    /// How many frames were tried.
     pub fn frames_read(&self) -> usize {
         self.depth_shares.len() + self.unreadable.len()
     }

@@ -1,4 +1,4 @@
-//! A box room with two blocks in it, seen exactly: depth and a pattern of brightness.
+//! A box-shaped room with two blocks, rendered exactly: depth and a brightness pattern.
 
 use fgs_geom::{Camera, FrameIndex, Image, Intrinsics, RgbdFrame, Se3};
 use nalgebra::{Vector3, Vector6};
@@ -21,7 +21,7 @@ pub fn camera() -> Camera {
     Camera::new(216, 160, intrinsics).unwrap()
 }
 
-/// A hand-held walk: turns about all three axes, about 1 degree and 1 cm a frame.
+/// A hand-held walk that turns about all three axes, about 1 degree and 1 cm per frame.
 pub fn world_from_camera(index: usize) -> Se3 {
     let t = index as f64 / 30.0;
     Se3::exp(&Vector6::new(

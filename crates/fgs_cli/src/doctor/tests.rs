@@ -138,7 +138,7 @@ impl Recording {
     }
 }
 
-/// A way to break a recording, and the check that has to say so with this in its text.
+/// A way to break a recording, and the check that has to report it with this in its text.
 struct Fault {
     name: &'static str,
     breaks: fn(&mut Recording),
@@ -361,7 +361,7 @@ fn is_found(report: &Report, fault: &Fault) -> bool {
     check.verdict == fault.verdict && text.contains(fault.says)
 }
 
-/// How often faults are found and sound recordings accused; takes minutes.
+/// The rates of detected faults and of false alarms; takes minutes.
 #[test]
 #[ignore = "a measurement"]
 fn error_rates() {

@@ -1,17 +1,17 @@
-//! Frame rate and gaps, from the time stamps.
+//! Frame rate and gaps in the time stamps.
 
 use super::report::Check;
 use super::statistics::median;
 
 const NAME: &str = "frame rate";
 
-/// Two frames lost in a row; a single one is usual and harmless.
+/// Two frames lost in a row; a single lost frame is common and harmless.
 const MIN_GAP: f64 = 2.5;
 
-/// Slower recordings move too far between frames when hand-held.
+/// At lower rates a hand-held camera moves too far between frames.
 const MIN_RATE_HZ: f64 = 10.0;
 
-/// Whether a frame comes this much later than usual after the one before.
+/// Whether so much more time than usual has passed since the frame before.
 pub fn is_gap(interval_secs: f64, usual_secs: f64) -> bool {
     interval_secs > MIN_GAP * usual_secs
 }
@@ -26,7 +26,7 @@ pub fn usual_interval(times_secs: &[f64]) -> Option<f64> {
     )
 }
 
-/// Checks strictly increasing times; `are_made_up` if the recording has none of its own.
+/// Checks strictly increasing times; `are_made_up` if the recording has no time stamps of its own.
 pub fn check(times_secs: &[f64], are_made_up: bool) -> Check {
     let Some(usual) = usual_interval(times_secs) else {
         return Check::unknown(NAME, "there is a single frame".into());

@@ -1,4 +1,4 @@
-//! How many pixels have a depth.
+//! How many pixels have valid depth.
 
 use fgs_geom::FrameIndex;
 
@@ -6,13 +6,13 @@ use super::report::Check;
 
 const NAME: &str = "valid depth";
 
-/// With less, a frame is more hole than surface and may not be tracked.
+/// With less, a frame is more holes than surface and may not be trackable.
 const MIN_SHARE: f64 = 0.2;
 
-/// Structured light in rooms gives 70 to 90 %.
+/// Structured light indoors gives 70 to 90 %.
 const USUAL_SHARE: f64 = 0.5;
 
-/// Checks the share of pixels with a depth in each frame that was read.
+/// Checks the share of pixels with valid depth in each frame that was read.
 pub fn check(shares: &[(FrameIndex, f64)]) -> Check {
     let Some(worst) = shares.iter().min_by(|a, b| a.1.total_cmp(&b.1)) else {
         return Check::unknown(NAME, "no frame could be read".into());

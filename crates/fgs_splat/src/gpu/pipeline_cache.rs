@@ -43,9 +43,7 @@ impl PipelineCacheFile {
         let write = || {
             let folder = self.path.parent()?;
             fs::create_dir_all(folder).ok()?;
-            let mut file = tempfile::NamedTempFile::new_in(folder).ok()?;
-            file.write_all(&data).ok()?;
-            file.persist(&self.path).ok()
+            fgs_files::write_file(&self.path, |file| file.write_all(&data)).ok()
         };
         // A cache that cannot be kept costs time alone.
         let _ = write();

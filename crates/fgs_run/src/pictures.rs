@@ -1,23 +1,23 @@
-//! Pictures for people: PNG files of what the map looks like, alone or beside the camera's image.
+//! PNG pictures of what the map looks like, alone or beside the camera's image.
 
-use std::io::Write;
+use std::io::{self, Write};
 
 use fgs_data::Dataset;
-use fgs_geom::{Image, RgbdFrame};
+use fgs_geom::{Image, RgbdFrame, View};
 use fgs_splat::Rasterizer;
 use image::codecs::png::PngEncoder;
-use image::{ExtendedColorType, ImageEncoder};
+use image::{ExtendedColorType, ImageEncoder, ImageError};
 
-use crate::evaluation;
+use crate::error::RunError;
 use crate::frame_log::FrameRow;
 use crate::run_folder::{PICTURES, RunFolder};
 use crate::run_result::RunResult;
 
-/// So many pictures show the run from its first to its last tracked frame.
+/// How many pictures show the run, from its first to its last tracked frame.
 const SAMPLES: usize = 5;
 
-/// Writes pictures of a run, camera's image on the left and render on the right: some evenly spread
-/// over it and, if it was evaluated, the worst frame's.
+/// Writes pictures of a run, the camera's image on the left and the render on the right: some evenly
+/// spread over it and, if it was scored, that of its worst frame.
 ///
 /// # Errors
 /// If writing fails.
@@ -25,15 +25,18 @@ pub fn write_samples(
     result: &RunResult,
     dataset: &Dataset,
     folder: &RunFolder,
-) -> anyhow::Result<()> {
+) -> Result<(), RunError> {
     folder.start_pictures()?;
     let mut rasterizer = Rasterizer::default();
     for (row, name) in choose(result) {
         // A frame that cannot be read again has no picture.
         if let (Ok(frame), Some(pose)) = (dataset.frame(row.index), result.pose(row)) {
-            let rendered =
-                evaluation::render(&mut rasterizer, &result.gaussians, &frame.camera, pose);
-            let picture = side_by_side(&frame, &to_bytes(&rendered.color));
+            let view = View {
+                camera: frame.camera,
+                world_from_camera: pose,
+            };
+            let pass = rasterizer.render(&result.gaussians, &view);
+            let picture = side_by_side(&frame, &png_bytes(&pass.rendered().color));
             folder.write(&format!("{PICTURES}/{name}.png"), |file| {
                 write_png(&picture, file)
             })?;
@@ -56,7 +59,10 @@ fn choose(result: &RunResult) -> Vec<(&FrameRow, String)> {
             (row, format!("frame-{:06}", row.index))
         })
         .collect();
-    let psnr = |row: &FrameRow| row.psnr_valid_depth_db.or(row.psnr_db);
+    let psnr = |row: &FrameRow| {
+        let scores = &row.scores;
+        scores.get("psnr_valid_depth_db").or(scores.get("psnr_db"))
+    };
     let scored = tracked.iter().filter_map(|row| Some((psnr(row)?, *row)));
     if let Some((_, row)) = scored.min_by(|a, b| a.0.total_cmp(&b.0)) {
         chosen.push((row, format!("worst-frame-{:06}", row.index)));
@@ -64,8 +70,8 @@ fn choose(result: &RunResult) -> Vec<(&FrameRow, String)> {
     chosen
 }
 
-/// A render's values, 0 to 1, as bytes.
-pub fn to_bytes(color: &Image<[f32; 3]>) -> Image<[u8; 3]> {
+/// Rendered colour, nominally 0 to 1, as bytes.
+pub fn png_bytes(color: &Image<[f32; 3]>) -> Image<[u8; 3]> {
     color.map(|pixel| pixel.map(|value| (255.0 * value.clamp(0.0, 1.0)).round() as u8))
 }
 
@@ -84,11 +90,14 @@ fn side_by_side(frame: &RgbdFrame, render: &Image<[u8; 3]>) -> Image<[u8; 3]> {
 ///
 /// # Errors
 /// If writing fails.
-pub fn write_png(picture: &Image<[u8; 3]>, writer: impl Write) -> anyhow::Result<()> {
-    let (width, height) = (
-        u32::try_from(picture.width())?,
-        u32::try_from(picture.height())?,
-    );
+pub fn write_png(picture: &Image<[u8; 3]>, writer: impl Write) -> io::Result<()> {
+    let size = |pixels: usize| u32::try_from(pixels).map_err(io::Error::other);
+    let (width, height) = (size(picture.width())?, size(picture.height())?);
     let bytes = picture.data().as_flattened();
-    Ok(PngEncoder::new(writer).write_image(bytes, width, height, ExtendedColorType::Rgb8)?)
+    PngEncoder::new(writer)
+        .write_image(bytes, width, height, ExtendedColorType::Rgb8)
+        .map_err(|error| match error {
+            ImageError::IoError(error) => error,
+            other => io::Error::other(other),
+        })
 }

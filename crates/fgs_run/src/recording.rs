@@ -1,25 +1,25 @@
-//! Opens a recording with the camera that counts: `--camera`, then the one beside the recording,
-//! then `[camera]` in the configuration (before the recording's own if `run.camera_overrides`).
+//! Opens a recording with the camera that applies: a camera file given for the run, then the
+//! recording's own, then `[camera]` in the settings (before the recording's own if
+//! `run.camera_overrides` is set).
 
 use std::path::Path;
 
 use fgs_data::{CameraFile, DataError, Dataset, OpenOptions};
 
-use crate::failure::UsageError;
+use crate::error::RunError;
 use crate::settings::Settings;
 
-/// Opens the recording and puts the camera that counts into the settings.
+/// Opens the recording and puts the camera that applies into the settings.
 ///
 /// # Errors
 /// If the recording or the camera file is refused.
-pub fn open(
+pub fn open_recording(
     folder: &Path,
     camera_file: Option<&Path>,
     settings: &mut Settings,
-) -> anyhow::Result<Dataset> {
+) -> Result<Dataset, RunError> {
     if let Some(path) = camera_file {
-        settings.camera =
-            Some(CameraFile::read(path).map_err(|error| UsageError(error.to_string()))?);
+        settings.camera = Some(CameraFile::read(path).map_err(RunError::Camera)?);
         settings.run.camera_overrides = Some(true);
     }
     let with = |camera: Option<CameraFile>| {
@@ -43,20 +43,21 @@ pub fn open(
     Ok(dataset)
 }
 
-/// Refuses a camera that does not fit the recording's images, before every frame is found damaged.
+/// Refuses a camera of another size than the recording's images, before every frame is found
+/// damaged.
 ///
 /// # Errors
-/// A [`UsageError`] if the frame's images have another size than the camera.
-pub fn check_size(dataset: &Dataset, index: usize) -> Result<(), UsageError> {
+/// [`RunError::Camera`] if the frame at `index` has another size than the camera.
+pub(crate) fn check_size(dataset: &Dataset, index: usize) -> Result<(), RunError> {
     match dataset.frame(index) {
-        Err(error @ DataError::ImageSize { .. }) => Err(UsageError(error.to_string())),
-        // A damaged first frame is none of the camera's fault.
+        Err(error @ DataError::ImageSize { .. }) => Err(RunError::Camera(error)),
+        // That the frame is damaged does not mean that the camera is wrong.
         _ => Ok(()),
     }
 }
 
-/// The folder's own name, also for paths such as `.`.
-pub fn name(folder: &Path) -> String {
+/// A name for the recording: that of its folder, also for paths such as `.`.
+pub fn recording_name(folder: &Path) -> String {
     let path = folder.canonicalize().unwrap_or_else(|_| folder.to_owned());
     let name = path
         .file_name()

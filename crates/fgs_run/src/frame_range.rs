@@ -1,4 +1,4 @@
-//! `A..B`: which frames of a recording, from A, up to but without B.
+//! `A..B`: the frames of a recording from A up to, but not including, B, counted from 0.
 
 use std::fmt;
 use std::ops::Range;
@@ -6,9 +6,9 @@ use std::str::FromStr;
 
 use serde::{Deserialize, Serialize};
 
-use crate::failure::UsageError;
+use crate::error::RunError;
 
-/// A half-open range whose ends may be left out.
+/// A half-open range of frames. Either end may be left out.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(try_from = "String", into = "String")]
 pub struct FrameRange {
@@ -17,19 +17,14 @@ pub struct FrameRange {
 }
 
 impl FrameRange {
-    /// The frames of a recording of `len` frames.
+    /// The frames meant, of a recording of `len` frames.
     ///
     /// # Errors
-    /// If there are none, or not that many.
-    pub fn resolve(&self, len: usize) -> Result<Range<usize>, UsageError> {
+    /// [`RunError::Frames`] if the range is empty or goes beyond the recording.
+    pub fn resolve(&self, len: usize) -> Result<Range<usize>, RunError> {
         let frames = self.start.unwrap_or(0)..self.end.unwrap_or(len);
-        if frames.is_empty() {
-            return Err(UsageError(format!("--frames {self} holds no frame")));
-        }
-        if frames.end > len {
-            return Err(UsageError(format!(
-                "--frames {self} goes beyond the recording, which has {len} frames"
-            )));
+        if frames.is_empty() || frames.end > len {
+            return Err(RunError::Frames { range: *self, len });
         }
         Ok(frames)
     }

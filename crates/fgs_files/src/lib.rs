@@ -1,0 +1,195 @@
+//! Files and folders that appear complete or not at all.
+//!
+//! Both are written under a temporary name (`NAME.xxxxxx.unfinished`) beside their final place and
+//! renamed at the end, so neither a full disk nor a crash leaves half a file under its final name.
+//! What fails, or is dropped before it is finished, is removed again.
+
+use std::ffi::OsString;
+use std::fs::{self, File};
+use std::io::{self, BufWriter};
+use std::path::{Path, PathBuf};
+
+use tempfile::{Builder, TempDir};
+
+/// Writes a file, replacing an existing one only once the new one is complete and on the disk.
+///
+/// # Errors
+/// Whatever `content` returns, or the operating system's refusal. The old file is then unchanged.
+pub fn write_file(
+    path: &Path,
+    content: impl FnOnce(&mut BufWriter<File>) -> io::Result<()>,
+) -> io::Result<()> {
+    let (parent, prefix) = place(path)?;
+    let mut builder = Builder::new();
+    // Temporary files are private by default; results are to be as readable as any other file.
+    #[cfg(unix)]
+    builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
+    let (file, unfinished) = builder
+        .prefix(&prefix)
+        .suffix(SUFFIX)
+        .tempfile_in(parent)?
+        .into_parts();
+    let mut writer = BufWriter::new(file);
+    content(&mut writer)?;
+    writer.into_inner()?.sync_all()?;
+    Ok(unfinished.persist(path)?)
+}
+
+/// A new folder that is being filled.
+#[derive(Debug)]
+pub struct NewFolder {
+    target: PathBuf,
+    unfinished: TempDir,
+}
+
+impl NewFolder {
+    /// Starts a folder that will stand at `target`, whose parent must exist.
+    ///
+    /// # Errors
+    /// [`io::ErrorKind::AlreadyExists`] if there is something at `target`, or the operating
+    /// system's refusal.
+    pub fn begin(target: &Path) -> io::Result<Self> {
+        refuse_existing(target)?;
+        let (parent, prefix) = place(target)?;
+        let mut builder = Builder::new();
+        #[cfg(unix)]
+        builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o777));
+        Ok(Self {
+            target: target.to_owned(),
+            unfinished: builder.prefix(&prefix).suffix(SUFFIX).tempdir_in(parent)?,
+        })
+    }
+
+    /// Where its files go until it is finished.
+    pub fn path(&self) -> &Path {
+        self.unfinished.path()
+    }
+
+    /// Moves the folder to its final place.
+    ///
+    /// # Errors
+    /// [`io::ErrorKind::AlreadyExists`] if something has appeared there in the meantime, or the
+    /// operating system's refusal.
+    pub fn finish(self) -> io::Result<()> {
+        // Renaming would silently replace an empty folder.
+        refuse_existing(&self.target)?;
+        fs::rename(self.unfinished.path(), &self.target)?;
+        // It is no longer at its temporary path: nothing is left to remove.
+        let _ = self.unfinished.keep();
+        Ok(())
+    }
+}
+
+const SUFFIX: &str = ".unfinished";
+
+/// The folder that holds `path`, and the beginning of a temporary name in it.
+fn place(path: &Path) -> io::Result<(&Path, OsString)> {
+    let mut prefix = path
+        .file_name()
+        .ok_or(io::ErrorKind::InvalidFilename)?
+        .to_owned();
+    prefix.push(".");
+    let parent = match path.parent() {
+        Some(parent) if parent != Path::new("") => parent,
+        _ => Path::new("."),
+    };
+    Ok((parent, prefix))
+}
+
+fn refuse_existing(path: &Path) -> io::Result<()> {
+    // A path without a last part, such as `..`, names something that exists.
+    if path.file_name().is_none() || fs::symlink_metadata(path).is_ok() {
+        return Err(io::ErrorKind::AlreadyExists.into());
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use std::io::Write;
+
+    use super::*;
+
+    fn names(folder: &Path) -> Vec<String> {
+        let entries = fs::read_dir(folder).unwrap();
+        let mut names: Vec<_> = entries
+            .map(|entry| entry.unwrap().file_name().into_string().unwrap())
+            .collect();
+        names.sort();
+        names
+    }
+
+    #[test]
+    fn a_file_appears_whole_or_not_at_all() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("x");
+        write_file(&path, |file| file.write_all(b"old")).unwrap();
+        let failed = write_file(&path, |file| {
+            file.write_all(b"new")?;
+            Err(io::ErrorKind::StorageFull.into())
+        });
+        assert_eq!(failed.unwrap_err().kind(), io::ErrorKind::StorageFull);
+        assert_eq!(fs::read(&path).unwrap(), b"old");
+        assert_eq!(names(folder.path()), ["x"]);
+        write_file(&path, |file| file.write_all(b"new")).unwrap();
+        assert_eq!(fs::read(&path).unwrap(), b"new");
+        assert_eq!(names(folder.path()), ["x"]);
+    }
+
+    #[test]
+    fn a_path_that_names_no_file_is_refused() {
+        for path in ["..", "/", ""] {
+            assert!(write_file(Path::new(path), |_| Ok(())).is_err(), "{path}");
+            assert!(NewFolder::begin(Path::new(path)).is_err(), "{path}");
+        }
+    }
+
+    /// Whatever the process's umask allows, as for any file made without temporary names.
+    #[cfg(unix)]
+    #[test]
+    fn files_and_folders_are_as_readable_as_others() {
+        use std::os::unix::fs::PermissionsExt;
+        let folder = tempfile::tempdir().unwrap();
+        let mode = |name: &str| {
+            let metadata = fs::metadata(folder.path().join(name)).unwrap();
+            metadata.permissions().mode()
+        };
+        fs::write(folder.path().join("plain"), "").unwrap();
+        write_file(&folder.path().join("whole"), |_| Ok(())).unwrap();
+        assert_eq!(mode("whole"), mode("plain"));
+        fs::create_dir(folder.path().join("plain-folder")).unwrap();
+        let new = NewFolder::begin(&folder.path().join("whole-folder")).unwrap();
+        new.finish().unwrap();
+        assert_eq!(mode("whole-folder"), mode("plain-folder"));
+    }
+
+    #[test]
+    fn a_folder_appears_when_it_is_finished() {
+        let parent = tempfile::tempdir().unwrap();
+        let target = parent.path().join("room");
+        let dropped = NewFolder::begin(&target).unwrap();
+        fs::write(dropped.path().join("a"), "1").unwrap();
+        drop(dropped);
+        assert!(names(parent.path()).is_empty());
+
+        let folder = NewFolder::begin(&target).unwrap();
+        fs::write(folder.path().join("a"), "1").unwrap();
+        assert!(!target.exists());
+        folder.finish().unwrap();
+        assert_eq!(names(parent.path()), ["room"]);
+        assert_eq!(names(&target), ["a"]);
+    }
+
+    #[test]
+    fn an_existing_folder_is_never_replaced() {
+        let parent = tempfile::tempdir().unwrap();
+        let target = parent.path().join("room");
+        let folder = NewFolder::begin(&target).unwrap();
+        fs::create_dir(&target).unwrap();
+        let late = folder.finish().unwrap_err();
+        assert_eq!(late.kind(), io::ErrorKind::AlreadyExists);
+        let early = NewFolder::begin(&target).unwrap_err();
+        assert_eq!(early.kind(), io::ErrorKind::AlreadyExists);
+        assert_eq!(names(parent.path()), ["room"]);
+    }
+}

@@ -1,0 +1,139 @@
+//! Why a run was refused or failed. Messages name the file, key or value at fault.
+
+use std::io;
+use std::path::PathBuf;
+
+use fgs_data::DataError;
+use fgs_eval::EvalError;
+use fgs_slam::SlamError;
+use fgs_splat::{GpuError, PlyError};
+use thiserror::Error;
+
+use crate::frame_range::FrameRange;
+use crate::run_folder::CONFIG;
+
+/// Why something could not be done.
+#[derive(Debug, Error)]
+#[non_exhaustive]
+pub enum RunError {
+    /// A settings file cannot be read, or a key or value in it is refused.
+    #[error("{}{}: {message}", path.display(), line.map(|line| format!(":{line}")).unwrap_or_default())]
+    Settings {
+        /// The file.
+        path: PathBuf,
+        /// The line, from 1, where it is known.
+        line: Option<usize>,
+        /// What is wrong.
+        message: String,
+    },
+    /// A single setting, given as `key=value`, is refused.
+    #[error("{assignment}: {message}")]
+    Assignment {
+        /// The setting as given.
+        assignment: String,
+        /// What is wrong.
+        message: String,
+    },
+    /// The settings cannot be written as TOML, such as a seed over 2^63.
+    #[error("the settings cannot be written as TOML: {0}")]
+    NotToml(String),
+    /// A range of frames is empty or goes beyond the recording.
+    #[error("the range {range} is empty or goes beyond the recording, which has {len} frames")]
+    Frames {
+        /// What was asked for.
+        range: FrameRange,
+        /// Frames in the recording.
+        len: usize,
+    },
+    /// The camera file given for the recording is refused, or does not fit its images.
+    #[error(transparent)]
+    Camera(DataError),
+    /// A graphics device was asked for, but none can be used.
+    #[error(transparent)]
+    NoDevice(GpuError),
+    /// The recording, its own camera or a trajectory file is refused.
+    #[error(transparent)]
+    Data(#[from] DataError),
+    /// The recording that a finished run was made from cannot be opened.
+    #[error("cannot open the run's recording: {0}")]
+    RecordingOfRun(#[source] Box<RunError>),
+    /// A finished run does not say where its recording is.
+    #[error("{} does not name the run's recording", path.display())]
+    UnknownRecording {
+        /// The run's settings.
+        path: PathBuf,
+    },
+    /// A folder is not that of a finished run.
+    #[error("{} is not the folder of a run: it has no {CONFIG}", path.display())]
+    NotARun {
+        /// The folder.
+        path: PathBuf,
+    },
+    /// Not a single frame could be read.
+    #[error("none of the {frames} frames could be read")]
+    NothingRead {
+        /// Frames that were tried.
+        frames: usize,
+    },
+    /// Tracking and mapping could not be started, or broke down.
+    #[error(transparent)]
+    Slam(#[from] SlamError),
+    /// The thread that tracks panicked: a bug.
+    #[error("the tracker stopped on an internal error")]
+    TrackerPanicked,
+    /// The results cannot be scored.
+    #[error(transparent)]
+    Eval(#[from] EvalError),
+    /// The map cannot be read or written.
+    #[error(transparent)]
+    Map(#[from] PlyError),
+    /// A folder for results cannot be made or written to.
+    #[error("cannot write to the output folder {}: {source}", path.display())]
+    OutputFolder {
+        /// The folder.
+        path: PathBuf,
+        /// What the operating system says.
+        source: io::Error,
+    },
+    /// A file cannot be read or is damaged.
+    #[error("cannot read {}: {source}", path.display())]
+    Read {
+        /// The file.
+        path: PathBuf,
+        /// Why.
+        source: io::Error,
+    },
+    /// A file cannot be written.
+    #[error("cannot write {}: {source}", path.display())]
+    Write {
+        /// The file.
+        path: PathBuf,
+        /// Why.
+        source: io::Error,
+    },
+}
+
+impl RunError {
+    /// Whether this is a usage error: what was asked for, a settings file or a camera file has to be
+    /// corrected, and trying again without that is pointless.
+    pub fn is_usage(&self) -> bool {
+        match self {
+            Self::Settings { .. }
+            | Self::Assignment { .. }
+            | Self::Frames { .. }
+            | Self::Camera(_)
+            | Self::NoDevice(_)
+            | Self::UnknownRecording { .. }
+            | Self::NotARun { .. } => true,
+            Self::Data(error) => matches!(
+                error,
+                DataError::CameraFile { .. }
+                    | DataError::Camera { .. }
+                    | DataError::NoCamera { .. }
+            ),
+            Self::Slam(error) => matches!(error, SlamError::Setting(_)),
+            Self::RecordingOfRun(error) => error.is_usage(),
+            _ => false,
+        }
+    }
+}

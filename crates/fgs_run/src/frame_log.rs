@@ -1,0 +1,166 @@
+//! `frames.csv`: what became of each frame, one row a frame.
+
+use std::io::{self, Write};
+use std::path::Path;
+
+use fgs_slam::{FrameStatus, KeyframeKind};
+use serde::{Deserialize, Serialize};
+
+use crate::error::RunError;
+use crate::scores::{SCORES, Scores, Source};
+
+/// A frame of a run. What is not known or does not apply is `None`, an empty field in the file.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct FrameRow {
+    /// Position in the recording, from 0.
+    pub index: usize,
+    /// Seconds on the recording's clock.
+    pub timestamp_secs: Option<f64>,
+    /// What became of it.
+    pub status: FrameStatus,
+    /// The kind of keyframe it became, if any.
+    pub keyframe: Option<KeyframeKind>,
+    /// Points sampled from its depth that lie on a surface and were registered.
+    pub points: Option<usize>,
+    /// Points in the sparse map at that time.
+    pub sparse_points: Option<usize>,
+    /// Points with a correspondence in the sparse map.
+    pub inliers: Option<usize>,
+    /// Root mean square point-to-plane distance of the inliers, metres.
+    pub residual_m: Option<f64>,
+    /// How well the weakest direction of motion is constrained relative to the strongest, 0 to 1.
+    pub conditioning: Option<f64>,
+    /// Wall-clock time of tracking, milliseconds.
+    pub tracking_ms: Option<f64>,
+    /// How well the map shows it: the last columns.
+    #[serde(skip)]
+    pub scores: Scores,
+}
+
+/// The columns before the scores, named as the fields of [`FrameRow`] and in their order.
+const COLUMNS: [&str; 10] = [
+    "index",
+    "timestamp_secs",
+    "status",
+    "keyframe",
+    "points",
+    "sparse_points",
+    "inliers",
+    "residual_m",
+    "conditioning",
+    "tracking_ms",
+];
+
+impl FrameRow {
+    /// A frame of which nothing else is known.
+    pub fn new(index: usize, status: FrameStatus) -> Self {
+        Self {
+            index,
+            timestamp_secs: None,
+            status,
+            keyframe: None,
+            points: None,
+            sparse_points: None,
+            inliers: None,
+            residual_m: None,
+            conditioning: None,
+            tracking_ms: None,
+            scores: Scores::default(),
+        }
+    }
+}
+
+/// Writes a header and the rows.
+///
+/// # Errors
+/// If writing fails.
+pub fn write(rows: &[FrameRow], writer: impl Write) -> io::Result<()> {
+    let is_column = |source: &Source| matches!(source, Source::Frame(_));
+    let scores = SCORES.iter().filter(|score| is_column(&score.source));
+    let mut csv = csv::WriterBuilder::new()
+        .has_headers(false)
+        .from_writer(writer);
+    csv.write_record(COLUMNS.into_iter().chain(scores.map(|score| score.name)))?;
+    for row in rows {
+        let scores = row.scores.iter();
+        let scores = scores.filter(|(score, _)| is_column(&score.source));
+        let scores: Vec<Option<f64>> = scores.map(|(_, value)| value).collect();
+        csv.serialize((row, scores))?;
+    }
+    csv.flush()
+}
+
+/// Reads what [`write`] wrote. Columns are found by name; unknown ones are skipped.
+///
+/// # Errors
+/// If the file cannot be read or a line is not a row; with path and line.
+pub fn read(path: &Path) -> Result<Vec<FrameRow>, RunError> {
+    let rows = || -> csv::Result<Vec<FrameRow>> {
+        let mut csv = csv::Reader::from_path(path)?;
+        let header = csv.headers()?.clone();
+        csv.records()
+            .map(|record| {
+                let record = record?;
+                let mut row: FrameRow = record.deserialize(Some(&header))?;
+                row.scores = record.deserialize(Some(&header))?;
+                Ok(row)
+            })
+            .collect()
+    };
+    rows().map_err(|error| RunError::Read {
+        path: path.into(),
+        source: error.into(),
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use fgs_eval::ImageQuality;
+
+    use super::*;
+    use crate::scores::FrameErrors;
+
+    #[test]
+    fn what_is_written_is_read() {
+        let mut tracked = FrameRow::new(3, FrameStatus::Tracked);
+        tracked.timestamp_secs = Some(0.1);
+        tracked.keyframe = Some(KeyframeKind::Mapping);
+        tracked.points = Some(1);
+        tracked.sparse_points = Some(2);
+        tracked.inliers = Some(3);
+        tracked.residual_m = Some(0.25);
+        tracked.conditioning = Some(0.5);
+        tracked.tracking_ms = Some(7.0);
+        tracked.scores = Scores::of_frame(&FrameErrors {
+            image: ImageQuality {
+                psnr_valid_depth_db: None,
+                psnr_db: f64::INFINITY,
+                psnr_paper_db: 20.0,
+                ssim: 0.75,
+            },
+            depth: None,
+        });
+        let rows = [tracked, FrameRow::new(4, FrameStatus::Damaged)];
+        let mut text = Vec::new();
+        write(&rows, &mut text).unwrap();
+        let file = tempfile::NamedTempFile::new().unwrap();
+        std::fs::write(file.path(), &text).unwrap();
+        assert_eq!(read(file.path()).unwrap(), rows);
+        let damaged = String::from_utf8(text).unwrap().replace("damaged", "tired");
+        std::fs::write(file.path(), damaged).unwrap();
+        let message = read(file.path()).unwrap_err().to_string();
+        assert!(message.contains("line: 3"), "{message}");
+    }
+
+    /// Users' scripts read these names, in this order.
+    #[test]
+    fn columns_keep_their_names_and_order() {
+        let mut text = Vec::new();
+        write(&[], &mut text).unwrap();
+        assert_eq!(
+            String::from_utf8(text).unwrap(),
+            "index,timestamp_secs,status,keyframe,points,sparse_points,inliers,residual_m,\
+             conditioning,tracking_ms,psnr_valid_depth_db,psnr_db,psnr_paper_db,ssim,depth_l1_m\n"
+        );
+    }
+}

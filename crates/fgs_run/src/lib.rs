@@ -1,0 +1,65 @@
+//! A run from end to end: open a recording, track and map it, save and score the results.
+//!
+//! This is what `fgs run` and `fgs eval` do, as a library: it prints nothing, asks nothing and reads
+//! no command line. [`RunOptions`] say what to run, [`Plan::resolve`] checks them and opens
+//! everything, [`Plan::run`] does the work and leaves a folder ([`RunFolder`]) with the trajectory,
+//! the map and the scores. A [`RunObserver`] sees each frame as it is tracked; setting the stop flag
+//! ends the run early, with everything so far saved.
+//!
+//! ```no_run
+//! use std::sync::atomic::AtomicBool;
+//!
+//! use fgs_run::{Plan, RunError, RunOptions};
+//!
+//! fn main() -> Result<(), RunError> {
+//!     let options = RunOptions {
+//!         dataset: "recordings/desk".into(),
+//!         evaluate: true,
+//!         ..RunOptions::default()
+//!     };
+//!     let (plan, model) = Plan::resolve(&options)?;
+//!     println!("computing on {model}, results in {}", plan.folder.path().display());
+//!     let stop = AtomicBool::new(false); // set it from any thread to end the run
+//!     let result = plan.run(model, &mut (), &stop)?;
+//!     println!("{} poses", result.trajectory.poses().len());
+//!     println!("PSNR: {:?} dB", result.metrics.scores.get("psnr_valid_depth_db"));
+//!     Ok(())
+//! }
+//! ```
+//!
+//! What a run is scored by stands in one place, [`SCORES`].
+
+mod assignment;
+mod backend;
+mod drive;
+mod error;
+mod evaluation;
+mod frame_log;
+mod frame_range;
+mod metrics;
+mod observer;
+mod peak_memory;
+mod pictures;
+mod plan;
+mod recording;
+mod rescore;
+mod run_folder;
+mod run_result;
+mod scores;
+mod settings;
+
+pub use backend::{Backend, Model};
+pub use error::RunError;
+pub use evaluation::score_images;
+pub use frame_log::FrameRow;
+pub use frame_range::FrameRange;
+pub use metrics::Metrics;
+pub use observer::{RunEvent, RunObserver};
+pub use pictures::{png_bytes, write_png};
+pub use plan::{Plan, RunOptions};
+pub use recording::{open_recording, recording_name};
+pub use rescore::FinishedRun;
+pub use run_folder::{CONFIG, FRAMES, MAP, METRICS, PICTURES, RunFolder, TRAJECTORY};
+pub use run_result::RunResult;
+pub use scores::{FrameErrors, SCORES, Score, Scores, Shown, Source, TrajectoryErrors};
+pub use settings::{COMMIT, RunSettings, Settings};

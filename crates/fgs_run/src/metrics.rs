@@ -1,0 +1,204 @@
+//! `metrics.json`: a run in numbers.
+
+use std::io::Write;
+use std::path::PathBuf;
+
+use fgs_slam::Execution;
+use serde::{Deserialize, Serialize};
+
+use crate::error::RunError;
+use crate::run_folder::{METRICS, RunFolder};
+use crate::scores::Scores;
+
+/// A run in numbers. What was not computed is `null`, as is an infinite signal-to-noise ratio.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Metrics {
+    /// Frames that arrived, whatever became of them.
+    pub frames: usize,
+    /// Of those: arrived too late in real time.
+    pub frames_dropped: usize,
+    /// Of those: have no pose that can be trusted.
+    pub frames_lost: usize,
+    /// Of those: could not be read.
+    pub frames_damaged: usize,
+    /// Whether the run was stopped early.
+    pub interrupted: bool,
+    /// Why mapping failed, which ended the run early.
+    pub failure: Option<String>,
+    /// How good trajectory and map are; the keys are the names in [`SCORES`](crate::SCORES).
+    #[serde(flatten)]
+    pub scores: Scores,
+    /// Reserved; always `null`.
+    pub lpips: Option<f64>,
+    /// Frames per second of wall-clock time, decoding included.
+    pub fps: Option<f64>,
+    /// Mean wall-clock time of tracking a frame.
+    pub tracking_ms: Option<f64>,
+    /// Wall-clock time of mapping per frame tracked or lost.
+    pub mapping_ms: Option<f64>,
+    /// Optimisation steps.
+    pub iterations: usize,
+    /// Optimisation steps per frame tracked or lost.
+    pub iterations_per_frame: Option<f64>,
+    /// Keyframes of both kinds.
+    pub keyframes: usize,
+    /// Gaussians in the map.
+    pub num_gaussians: usize,
+    /// Size of the map's file; 0 if it could not be written.
+    pub map_bytes: u64,
+    /// Peak resident memory of the process until the results were saved.
+    pub peak_rss_bytes: Option<u64>,
+    /// Memory that the map takes on the graphics device at the end.
+    pub device_bytes: u64,
+    /// The seed.
+    pub seed: u64,
+    /// The commit that this library was built from.
+    pub commit: String,
+    /// How tracker and mapper took turns.
+    pub mode: Execution,
+    /// Where the map was optimised: "CPU" or the graphics device's name.
+    pub backend: String,
+    /// Threads of the pool that computes.
+    pub threads: usize,
+    /// The recording as given.
+    pub dataset: PathBuf,
+}
+
+impl Metrics {
+    /// Reads a run's metrics.
+    ///
+    /// # Errors
+    /// If there are none or they are damaged.
+    pub fn read(folder: &RunFolder) -> Result<Self, RunError> {
+        let path = folder.join(METRICS);
+        std::fs::read_to_string(&path)
+            .and_then(|text| Ok(serde_json::from_str(&text)?))
+            .map_err(|source| RunError::Read { path, source })
+    }
+
+    /// Writes them into the run's folder.
+    ///
+    /// # Errors
+    /// If writing fails.
+    pub fn write(&self, folder: &RunFolder) -> Result<(), RunError> {
+        folder.write(METRICS, |file| {
+            serde_json::to_writer_pretty(&mut *file, self)?;
+            writeln!(file)
+        })
+    }
+
+    /// A small table for people.
+    pub fn table(&self) -> String {
+        let mut lines = Vec::new();
+        let mut line = |name: &str, text: String| lines.push(format!("  {name:<11}{text}"));
+        line(
+            "frames",
+            format!(
+                "{} ({} lost, {} damaged, {} dropped), {} keyframes",
+                self.frames,
+                self.frames_lost,
+                self.frames_damaged,
+                self.frames_dropped,
+                self.keyframes
+            ),
+        );
+        for (name, text) in self.shown_scores() {
+            line(name, text);
+        }
+        if let (Some(fps), Some(tracking)) = (self.fps, self.tracking_ms) {
+            let iterations = self.iterations_per_frame.unwrap_or_default();
+            line(
+                "speed",
+                format!(
+                    "{fps:.2} frames/s at {iterations:.1} iterations a frame, tracking {tracking:.1} ms"
+                ),
+            );
+        }
+        let megabytes = self.map_bytes as f64 / 1e6;
+        line(
+            "map",
+            format!("{} gaussians, {megabytes:.1} MB", self.num_gaussians),
+        );
+        lines.join("\n")
+    }
+
+    /// The scores that are known, line by line.
+    fn shown_scores(&self) -> Vec<(&'static str, String)> {
+        let mut lines: Vec<(&str, String)> = Vec::new();
+        for (score, value) in self.scores.iter() {
+            let (Some(shown), Some(value)) = (&score.shown, value) else {
+                continue;
+            };
+            let text = format!("{:.*}{}", shown.decimals, shown.scale * value, shown.unit);
+            match lines.last_mut() {
+                Some((line, texts)) if *line == shown.line => *texts += &format!(", {text}"),
+                _ => lines.push((shown.line, text)),
+            }
+        }
+        lines
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const SAVED: &str = r#"{
+  "frames": 6,
+  "frames_dropped": 1,
+  "frames_lost": 2,
+  "frames_damaged": 3,
+  "interrupted": false,
+  "failure": null,
+  "ate_rmse_m": 0.0125,
+  "ate_mean_m": 0.01,
+  "rpe_mean_m": 0.001,
+  "psnr_valid_depth_db": 25.5,
+  "psnr_db": 24.0,
+  "psnr_paper_db": 26.0,
+  "psnr_heldout_db": null,
+  "ssim": 0.875,
+  "depth_l1_m": 0.015,
+  "lpips": null,
+  "fps": 10.0,
+  "tracking_ms": 20.0,
+  "mapping_ms": 80.0,
+  "iterations": 60,
+  "iterations_per_frame": 10.0,
+  "keyframes": 4,
+  "num_gaussians": 1000,
+  "map_bytes": 68000,
+  "peak_rss_bytes": null,
+  "device_bytes": 0,
+  "seed": 1,
+  "commit": "unknown",
+  "mode": "lockstep",
+  "backend": "CPU",
+  "threads": 2,
+  "dataset": "room"
+}
+"#;
+
+    /// Users' scripts read these names, and people the table.
+    #[test]
+    fn names_order_and_table_stay_as_they_are() {
+        let parent = tempfile::tempdir().unwrap();
+        let folder = RunFolder::create(parent.path()).unwrap();
+        std::fs::write(folder.join(METRICS), SAVED).unwrap();
+        let metrics = Metrics::read(&folder).unwrap();
+        assert_eq!(metrics.scores.get("ssim"), Some(0.875));
+        metrics.write(&folder).unwrap();
+        let again = std::fs::read_to_string(folder.join(METRICS)).unwrap();
+        assert_eq!(again, SAVED);
+        assert_eq!(
+            metrics.table(),
+            "  frames     6 (2 lost, 3 damaged, 1 dropped), 4 keyframes\n\
+             \x20 ATE        1.250 cm rmse, 1.000 cm mean\n\
+             \x20 PSNR       25.50 dB where depth is measured, 24.00 dB everywhere\n\
+             \x20 SSIM       0.8750\n\
+             \x20 depth L1   1.50 cm\n\
+             \x20 speed      10.00 frames/s at 10.0 iterations a frame, tracking 20.0 ms\n\
+             \x20 map        1000 gaussians, 0.1 MB"
+        );
+    }
+}

@@ -1,0 +1,40 @@
+//! What the outside sees of a run while it works: progress bars, logs and viewers implement
+//! [`RunObserver`].
+
+use crate::frame_log::FrameRow;
+
+/// Something that happened.
+#[derive(Debug)]
+#[non_exhaustive]
+pub enum RunEvent<'a> {
+    /// A frame was tracked, lost, dropped or found damaged.
+    Frame {
+        /// Its row in `frames.csv`, without scores.
+        row: &'a FrameRow,
+        /// Why it is damaged, if it is.
+        error: Option<&'a str>,
+        /// Gaussians in the map, as far as known.
+        num_gaussians: usize,
+        /// Optimisation steps so far, as far as known.
+        steps: usize,
+    },
+    /// Frames were rendered and scored.
+    Scored {
+        /// Frames done so far.
+        done: usize,
+        /// Frames in all.
+        total: usize,
+    },
+}
+
+/// Sees every event, in order. While frames are tracked it is called on another thread than the one
+/// that tracks: a slow observer does not slow the run.
+pub trait RunObserver {
+    /// Called for each event.
+    fn on(&mut self, event: &RunEvent<'_>);
+}
+
+/// An observer that does nothing.
+impl RunObserver for () {
+    fn on(&mut self, _: &RunEvent<'_>) {}
+}

@@ -1,0 +1,181 @@
+//! One run: what was asked for, checked and opened ([`Plan::resolve`]), then done and saved
+//! ([`Plan::run`]).
+
+use std::io::Write;
+use std::ops::Range;
+use std::path::{Path, PathBuf};
+use std::sync::atomic::AtomicBool;
+
+use fgs_data::{DataError, Dataset};
+use fgs_slam::Execution;
+
+use crate::backend::{Backend, Model};
+use crate::drive::drive;
+use crate::error::RunError;
+use crate::frame_range::FrameRange;
+use crate::observer::RunObserver;
+use crate::pictures;
+use crate::recording::{check_size, open_recording, recording_name};
+use crate::run_folder::{CONFIG, RunFolder, TRAJECTORY};
+use crate::run_result::RunResult;
+use crate::settings::{COMMIT, RunSettings, Settings};
+
+/// Where results go unless a folder is given.
+const RUNS: &str = "runs";
+
+/// What to run. Only `dataset` is needed; what is `None` comes from the settings, or else has the
+/// default given here.
+#[derive(Clone, Debug, Default)]
+pub struct RunOptions {
+    /// Folder of the recording.
+    pub dataset: PathBuf,
+    /// Settings file; see [`Settings`].
+    pub config: Option<PathBuf>,
+    /// Single settings `key=value`, which override the file's.
+    pub assignments: Vec<String>,
+    /// Camera file; takes precedence over the recording's own camera.
+    pub camera: Option<PathBuf>,
+    /// How tracker and mapper take turns; lockstep.
+    pub execution: Option<Execution>,
+    /// Where the map is optimised; [`Backend::Auto`].
+    pub backend: Option<Backend>,
+    /// Which frames; all.
+    pub frames: Option<FrameRange>,
+    /// Folder for the results; the first free of `runs/NAME`, `runs/NAME-2`, ... Results already in
+    /// it are replaced when the run has ended.
+    pub out: Option<PathBuf>,
+    /// Whether to render and score every tracked frame at the end.
+    pub evaluate: bool,
+    /// Folder in which a graphics device's compiled shaders are kept from one run to the next; none.
+    pub pipeline_cache: Option<PathBuf>,
+    /// The command line, to be recorded with the settings.
+    pub command: Option<String>,
+}
+
+/// Everything that a run needs, checked and opened.
+pub struct Plan {
+    /// The recording as given.
+    pub dataset_path: PathBuf,
+    /// The recording.
+    pub dataset: Dataset,
+    /// Its frames to run.
+    pub frames: Range<usize>,
+    /// All settings, as they will be recorded.
+    pub settings: Settings,
+    /// How tracker and mapper take turns.
+    pub execution: Execution,
+    /// Where results go.
+    pub folder: RunFolder,
+    /// Whether to render and score every tracked frame at the end.
+    pub evaluate: bool,
+}
+
+impl Plan {
+    /// Opens the recording, the device and the folder for the results, in this order: where one is
+    /// refused, nothing has been written.
+    ///
+    /// # Errors
+    /// If anything in the options, the settings or the recording is refused.
+    pub fn resolve(options: &RunOptions) -> Result<(Self, Model), RunError> {
+        let mut settings = Settings::load(options.config.as_deref(), &options.assignments)?;
+        let dataset = open_recording(&options.dataset, options.camera.as_deref(), &mut settings)?;
+        let recorded = &settings.run;
+        let frames = options.frames.or(recorded.frames).unwrap_or_default();
+        let frames = frames.resolve(dataset.len())?;
+        check_size(&dataset, frames.start)?;
+        let execution = options.execution.or(recorded.mode);
+        let execution = execution.unwrap_or(Execution::Lockstep);
+        let backend = options.backend.or(recorded.backend).unwrap_or_default();
+        let model = backend.model(&settings.mapping, options.pipeline_cache.as_deref())?;
+        settings.run = RunSettings {
+            command: options.command.clone(),
+            dataset: Some(options.dataset.clone()),
+            mode: Some(execution),
+            backend: Some(model.backend),
+            frames: Some(frames.clone().into()),
+            camera_overrides: settings.run.camera_overrides,
+            commit: Some(COMMIT.into()),
+        };
+        let folder = match &options.out {
+            Some(path) => RunFolder::create(path)?,
+            None => RunFolder::create_new(Path::new(RUNS), &recording_name(&options.dataset))?,
+        };
+        let plan = Self {
+            dataset_path: options.dataset.clone(),
+            dataset,
+            frames,
+            settings,
+            execution,
+            folder,
+            evaluate: options.evaluate,
+        };
+        Ok((plan, model))
+    }
+
+    /// Tracks and maps, saves, and scores if asked to. When `stop` is set or the mapper fails
+    /// (`metrics.failure`), the run ends early and is saved like any other.
+    ///
+    /// # Errors
+    /// If the run cannot be started or no frame can be read; then nothing is saved. If a result cannot
+    /// be scored or saved: then everything else is, and the first such error is returned.
+    pub fn run(
+        &self,
+        model: Model,
+        observer: &mut dyn RunObserver,
+        stop: &AtomicBool,
+    ) -> Result<RunResult, RunError> {
+        let result = drive(self, model, observer, stop)?;
+        self.conclude(result, observer, stop)
+    }
+
+    /// Saves each result by itself, what is small or cannot be made again first: the trajectory before
+    /// the map, and both before scoring.
+    fn conclude(
+        &self,
+        mut result: RunResult,
+        observer: &mut dyn RunObserver,
+        stop: &AtomicBool,
+    ) -> Result<RunResult, RunError> {
+        let folder = &self.folder;
+        let mut errors = FirstError::default();
+        folder.clear_results();
+        errors.note(self.save_settings());
+        errors.note(save_trajectory(&result, folder));
+        errors.note(result.save_rows(folder));
+        errors.note(result.score_trajectory(&self.dataset));
+        errors.note(result.save_map(folder));
+        errors.note(result.metrics.write(folder));
+        if self.evaluate {
+            errors.note(result.score_images(&self.dataset, observer, stop));
+            errors.note(result.save_rows(folder));
+            errors.note(result.metrics.write(folder));
+        }
+        errors.note(pictures::write_samples(&result, &self.dataset, folder));
+        errors.0.map_or(Ok(result), Err)
+    }
+
+    fn save_settings(&self) -> Result<(), RunError> {
+        let toml = self.settings.to_toml()?;
+        self.folder
+            .write(CONFIG, |file| file.write_all(toml.as_bytes()))
+    }
+}
+
+fn save_trajectory(result: &RunResult, folder: &RunFolder) -> Result<(), DataError> {
+    result.trajectory.write(&folder.join(TRAJECTORY))
+}
+
+/// The first of the errors of steps that do not depend on each other.
+#[derive(Default)]
+struct FirstError(Option<RunError>);
+
+impl FirstError {
+    fn note<T, E: Into<RunError>>(&mut self, step: Result<T, E>) {
+        if let Err(error) = step {
+            self.0.get_or_insert_with(|| error.into());
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests;
