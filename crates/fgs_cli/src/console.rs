@@ -86,7 +86,7 @@ impl Warnings {
             bar.suspend(|| eprintln!("warning: {message}"));
         }
         if self.count == MAX_WARNINGS {
-            bar.suspend(|| eprintln!("warning: further ones like this are only counted"));
+            bar.suspend(|| eprintln!("warning: further warnings like this are only counted"));
         }
     }
 }

@@ -11,7 +11,7 @@ pub const EXIT_DONE: u8 = 0;
 pub const EXIT_FAILED: u8 = 1;
 /// A usage error.
 pub const EXIT_USAGE: u8 = 2;
-/// Ctrl-C ended it; what there was is saved. 128 + SIGINT, as in shells.
+/// Ctrl-C ended it; the results so far are saved. 128 + SIGINT, as in shells.
 pub const EXIT_INTERRUPTED: u8 = 130;
 
 /// The user has to change the command line.

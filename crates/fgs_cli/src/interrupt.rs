@@ -16,7 +16,7 @@ pub fn stop_flag() -> anyhow::Result<Arc<AtomicBool>> {
         if handler.swap(true, Ordering::Relaxed) {
             process::exit(EXIT_INTERRUPTED.into());
         }
-        eprintln!("stopping: saving what there is (Ctrl-C again to give up)");
+        eprintln!("stopping: the results so far are saved (Ctrl-C again to quit without)");
     })
     .context("cannot listen for Ctrl-C")?;
     Ok(stop)

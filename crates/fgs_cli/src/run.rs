@@ -169,7 +169,9 @@ fn report(plan: &Plan, result: &RunResult, console: Console) -> anyhow::Result<(
     console.say(format!("  results    {folder}"));
     if let Some(failure) = &result.metrics.failure {
         let frame = result.rows.last().map_or(0, |row| row.index);
-        bail!("the run ended early, at frame {frame}: {failure}; what there was is in {folder}");
+        bail!(
+            "the run ended early, at frame {frame}: {failure}; the results so far are in {folder}"
+        );
     }
     Ok(())
 }

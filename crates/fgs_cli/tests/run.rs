@@ -284,6 +284,11 @@ fn settings_and_frames_of_the_command_line_hold() {
     ] {
         assert!(config.contains(line), "{line} is not in\n{config}");
     }
+    // Settings with a [camera] table are a camera file too.
+    let camera = ["--camera", "out/config.effective.toml"];
+    run(path, &[&["doctor", "room"], camera.as_slice()].concat(), 0);
+    let first = ["run", "room", "--frames", "..1", "--out", "first"];
+    run(path, &[first.as_slice(), &camera].concat(), 0);
 }
 
 #[test]

@@ -46,7 +46,7 @@ pub struct Metrics {
     pub num_gaussians: usize,
     /// Size of the map's file; 0 if it could not be written.
     pub map_bytes: u64,
-    /// Peak resident memory of the process until the results were saved.
+    /// Peak resident memory of the process when tracking and mapping ended.
     pub peak_rss_bytes: Option<u64>,
     /// Memory that the map takes on the graphics device at the end.
     pub device_bytes: u64,

@@ -34,11 +34,11 @@ pub fn check(depth_scale: f64, median_depth_m: Option<f64>, fit: Option<&MotionF
         let off = fit.scale.ln().abs();
         if off > (1.0 + MAX_ERROR).ln() && off >= MIN_SIGNIFICANCE * fit.scale_error / fit.scale {
             let right = snapped(depth_scale * fit.scale);
-            let seen = format!("depth is {:.2} times as long as the poses say", fit.scale);
+            let seen = format!("depth is {:.2} times what the poses imply", fit.scale);
             let advice = format!("set depth_scale = {right} (it is {depth_scale})");
             return Check::problem(NAME, seen, advice);
         }
-        let seen = format!("depth and poses agree in length to {:.1} %", 100.0 * off);
+        let seen = format!("depth and poses agree in scale to {:.1} %", 100.0 * off);
         return Check::ok(NAME, seen);
     }
     let [low, high] = USUAL_MEDIAN_M;
@@ -53,10 +53,12 @@ pub fn check(depth_scale: f64, median_depth_m: Option<f64>, fit: Option<&MotionF
         .map(|scale| format!("{scale} ({:.2} m)", raw / scale))
         .collect();
     let advice = if fitting.is_empty() {
-        "check depth_scale, the value in a depth image that means 1 m".to_owned()
+        "check depth_scale, the value in a depth image that stands for 1 m".to_owned()
     } else {
         let usual = fitting.join(", ");
-        format!("if that is not so, depth_scale = {depth_scale} is wrong; usual are {usual}")
+        format!(
+            "if that is implausible, depth_scale = {depth_scale} is wrong; common values: {usual}"
+        )
     };
     Check::warn(NAME, seen, advice)
 }

@@ -77,7 +77,7 @@ impl EdgeMatcher {
     /// The verdict over all frames.
     pub fn check(&self) -> Check {
         if self.steps < MIN_STEPS || self.scores.len() < 3 {
-            let seen = "too few steps in depth to compare with edges in colour".into();
+            let seen = "too few depth edges to compare with colour edges".into();
             return Check::unknown(NAME, seen);
         }
         let n = self.scores.len() as f64;
@@ -119,7 +119,7 @@ impl EdgeMatcher {
             f64::from(stretch.abs()) / 100.0 * 0.5 * self.width as f64 / self.reduction as f64;
         let size = f64::from(du).hypot(f64::from(dv)).max(edge);
         if size < MIN_SHIFT || gain < MIN_GAIN || significance < MIN_SIGNIFICANCE {
-            return Check::ok(NAME, "steps in depth lie on edges in colour".into());
+            return Check::ok(NAME, "depth edges coincide with colour edges".into());
         }
         let px = |shift: i32| shift * self.reduction as i32;
         let stretched = match stretch {
@@ -127,7 +127,7 @@ impl EdgeMatcher {
             s => format!(" and stretched by {s} % about the centre"),
         };
         let seen = format!(
-            "steps in depth lie on edges in colour only when depth is moved by {:+} columns and \
+            "depth edges coincide with colour edges only if depth is moved by {:+} columns and \
              {:+} rows{stretched}",
             px(du),
             px(dv)

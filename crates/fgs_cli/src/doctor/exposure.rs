@@ -51,7 +51,7 @@ impl ExposureWatch {
             .iter()
             .max_by(|a, b| a.1.abs().total_cmp(&b.1.abs()));
         let Some((index, step)) = largest else {
-            return Check::unknown(NAME, "no two frames follow one another".into());
+            return Check::unknown(NAME, "no two consecutive frames could be read".into());
         };
         let percent = 100.0 * (step.exp() - 1.0);
         match jumps().count() {

@@ -13,7 +13,7 @@ const MAX_SHARE: f64 = 0.1;
 /// Judges the frames that could not be read, each with the reason, out of `frames` tried.
 pub fn check(unreadable: &[(FrameIndex, String)], frames: usize) -> Check {
     let Some((index, reason)) = unreadable.first() else {
-        return Check::ok(NAME, format!("all {frames} frames read are sound"));
+        return Check::ok(NAME, format!("all {frames} frames examined can be read"));
     };
     let seen = format!(
         "{} of {frames} frames cannot be read; frame {}: {reason}",

@@ -64,7 +64,7 @@ pub fn check(
     let check = if focal_error > MAX_STANDARD_ERROR {
         Check::unknown(NAME, "the camera turns too little to tell".into())
     } else {
-        Check::ok(NAME, "frames seen from different directions fit".into())
+        Check::ok(NAME, "views from different directions agree".into())
     };
     (check, None)
 }

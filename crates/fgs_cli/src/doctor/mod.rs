@@ -63,7 +63,7 @@ Exit code: 0 no problem, 1 a problem or the recording cannot be opened, 2 usage 
 pub struct DoctorArgs {
     /// Folder of the recording
     dataset: PathBuf,
-    /// Settings file (TOML); only its [camera] is used
+    /// Settings file (TOML); only its camera table is used
     #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
     /// Camera file; overrides the recording's own camera

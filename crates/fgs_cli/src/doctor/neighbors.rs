@@ -13,17 +13,20 @@ const MAX_LOST_SHARE: f64 = 0.05;
 pub fn check(lost: &[FrameIndex], frames: usize) -> Check {
     let Some(first) = lost.first() else {
         return match frames {
-            0 | 1 => Check::unknown(NAME, "no two frames follow one another".into()),
-            _ => Check::ok(NAME, "each frame fits the one before".into()),
+            0 | 1 => Check::unknown(NAME, "no two consecutive frames could be read".into()),
+            _ => Check::ok(
+                NAME,
+                "each frame can be registered to the one before".into(),
+            ),
         };
     };
     let seen = format!(
-        "{} of {frames} frames do not fit the one before, first frame {}",
+        "{} of {frames} frames cannot be registered to the one before, first frame {}",
         lost.len(),
         first.0
     );
-    let advice = "move more slowly and keep some furniture in view, not a bare wall alone; if most \
-                  frames do not fit, depth or camera are wrong";
+    let advice = "move more slowly and keep some furniture in view, not just a bare wall; if most \
+                  frames are affected, depth or camera are wrong";
     if lost.len() as f64 > MAX_LOST_SHARE * frames as f64 {
         Check::problem(NAME, seen, advice.into())
     } else {
