@@ -1,7 +1,7 @@
-//! Pairs of colour and depth images by time, one to one.
+//! One-to-one association of colour and depth images by timestamp.
 //!
-//! Of all pairs near enough in time the closest is taken first, then the closest of what is left,
-//! and so on: the rule of the TUM benchmark's own tool.
+//! Greedy, like `associate.py` of the TUM benchmark: of all pairs within the tolerance the one with
+//! the smallest time difference is taken first, then the next among the images still unpaired.
 
 /// How many depth images on either side of a colour image's time are considered. Sensors deliver
 /// the two at about the same rate, so that a partner further off is another image's.

@@ -1,8 +1,8 @@
-//! The camera as users write it: `camera.toml`, a `[camera]` section, or Replica's
+//! Camera files: `camera.toml`, the `[camera]` table of a configuration, or Replica's
 //! `cam_params.json`.
 //!
-//! A [`CameraFile`] is checked when it is made, whichever way it comes, so it can be trusted
-//! everywhere else.
+//! A [`CameraFile`] is validated on construction, whatever its source, so the rest of the code can
+//! rely on it.
 
 use std::fs::File;
 use std::io::Read;
@@ -21,11 +21,11 @@ const MAX_FILE_BYTES: u64 = 64 * 1024;
 /// exhaust the memory.
 const MAX_PIXELS: usize = 100_000_000;
 
-/// A camera, its lens and the unit of its depth images.
+/// Camera intrinsics, lens distortion and the unit of the depth images.
 ///
-/// As text: `width`, `height` (pixels), `fx`, `fy`, `cx`, `cy` (pixels, pixel centres at integer
-/// coordinates), `depth_scale` (the value in a depth image that means 1 m) and, if the images
-/// are distorted, `distortion = [k1, k2, p1, p2, k3]`. Other keys are refused.
+/// Keys: `width`, `height` (pixels), `fx`, `fy`, `cx`, `cy` (pixels, pixel centres at integer
+/// coordinates), `depth_scale` (raw depth value of 1 m) and, for distorted images,
+/// `distortion = [k1, k2, p1, p2, k3]`. Unknown keys are rejected.
 #[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
 #[serde(try_from = "Keys", into = "Keys")]
 pub struct CameraFile {
@@ -72,11 +72,11 @@ struct ReplicaKeys {
 }
 
 impl CameraFile {
-    /// A camera with plausible values: see [`Camera::new`]; at most 100 megapixels, a depth scale
-    /// from 1 to 1e6 a metre, distortion coefficients from -10 to 10.
+    /// Validates the parameters: those of [`Camera::new`], at most 100 megapixels, a depth scale
+    /// from 1 to 1e6 per metre, distortion coefficients (k1, k2, p1, p2, k3) from -10 to 10.
     ///
     /// # Errors
-    /// Names the first value that is not plausible.
+    /// Names the first parameter out of range.
     pub fn new(
         camera: Camera,
         distortion: Option<[f64; 5]>,
@@ -111,17 +111,16 @@ impl CameraFile {
     /// Reads a camera file such as `camera.toml`; see [`CameraFile::parse`].
     ///
     /// # Errors
-    /// The file cannot be read, or [`CameraFile::parse`] refuses it.
+    /// If the file cannot be read, or [`CameraFile::parse`] rejects its contents.
     pub fn read(path: &Path) -> Result<Self, DataError> {
         Self::parse(&read_small_file(path)?, path)
     }
 
-    /// Parses the text of a camera file: the keys alone, or a configuration that has them in a
-    /// `[camera]` table, whose other tables are not looked at. `path` is where the text came from,
-    /// for messages.
+    /// Parses the text of a camera file: the keys alone, or a settings file that has them in a
+    /// `[camera]` table, whose other tables are ignored. `path` is only used in error messages.
     ///
     /// # Errors
-    /// Not TOML, or missing, unknown or implausible values; the message has path and key.
+    /// For invalid TOML and for missing, unknown or implausible values, with path and key.
     pub fn parse(text: &str, path: &Path) -> Result<Self, DataError> {
         let parse = || {
             if toml::from_str::<toml::Table>(text)?.contains_key("camera") {
@@ -138,7 +137,8 @@ impl CameraFile {
         keys.checked(path)
     }
 
-    /// Reads Replica's `cam_params.json`: `{"camera": {"w", "h", "fx", "fy", "cx", "cy", "scale"}}`.
+    /// Reads Replica's `cam_params.json`: `{"camera": {"w", "h", "fx", "fy", "cx", "cy",
+    /// "scale"}}`.
     pub(crate) fn read_replica(path: &Path) -> Result<Self, DataError> {
         let file: ReplicaFile = serde_json::from_str(&read_small_file(path)?).map_err(|error| {
             DataError::CameraFile {
@@ -174,12 +174,12 @@ impl CameraFile {
         &self.camera
     }
 
-    /// The lens, if the images are distorted.
+    /// The lens distortion; `None` if the images are undistorted.
     pub fn distortion(&self) -> Option<&Distortion> {
         self.distortion.as_ref()
     }
 
-    /// The value in a depth image that means 1 m.
+    /// The raw depth value of 1 m.
     pub fn depth_scale(&self) -> f64 {
         self.depth_scale
     }

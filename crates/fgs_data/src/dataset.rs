@@ -1,6 +1,6 @@
-//! A recording: the folder opened, its frames and what is known about them.
+//! A recording on disk: its camera, timestamps, ground truth and frames.
 //!
-//! Opening reads the lists and poses and finds the camera; images are read frame by frame.
+//! Opening reads the file lists and poses and finds the camera; images are decoded frame by frame.
 
 use std::ops::Range;
 use std::path::Path;
@@ -15,16 +15,16 @@ use crate::{CameraFile, DataError, Format, FrameStream, Trajectory, images};
 /// How to open a recording.
 #[derive(Clone, Debug)]
 pub struct OpenOptions {
-    /// The camera; `None` takes the one found beside the recording.
+    /// The camera; `None` to use the one stored with the recording.
     pub camera: Option<CameraFile>,
-    /// The most that the times of a colour image and its depth image may differ, where a recording
-    /// stamps both.
+    /// Largest time difference between a colour image and its depth image, seconds, for recordings
+    /// that stamp both.
     pub max_time_difference_secs: f64,
 }
 
 impl Default for OpenOptions {
-    /// The camera beside the recording, and 0.02 s: more than half the period of a 30 Hz sensor,
-    /// so that no image is left without a partner, and less than a whole one.
+    /// The camera stored with the recording, and 0.02 s: more than half the period of a 30 Hz
+    /// sensor, so that every image finds a partner, and less than a full period.
     fn default() -> Self {
         Self {
             camera: None,
@@ -42,12 +42,13 @@ pub struct Dataset {
 }
 
 impl Dataset {
-    /// Opens a folder in one of the four layouts of [`Format`]. The camera is the one in `options`,
-    /// else `camera.toml` in the folder, else Replica's `cam_params.json` in or above it.
+    /// Opens a folder in one of the four layouts of [`Format`]. The camera is taken from `options`,
+    /// else from `camera.toml` in the folder, else from Replica's `cam_params.json` in the folder
+    /// or its parent.
     ///
     /// # Errors
-    /// The folder has no known layout, a list or pose file is damaged or contradicts another, or
-    /// no camera is known. Damaged images show when their frame is read.
+    /// If the layout is unknown, a list or pose file is malformed or inconsistent with another, or
+    /// no camera is found. Damaged images are only noticed when their frame is read.
     pub fn open(path: &Path, options: &OpenOptions) -> Result<Self, DataError> {
         let format = Format::of(path)?;
         let recording = format.list(path, options.max_time_difference_secs)?;
@@ -67,7 +68,7 @@ impl Dataset {
         })
     }
 
-    /// The layout found.
+    /// The detected layout.
     pub fn format(&self) -> Format {
         self.format
     }
@@ -77,12 +78,12 @@ impl Dataset {
         self.loader.camera()
     }
 
-    /// The camera as given or found: with the lens and the unit of depth.
+    /// The camera as given or found, with lens distortion and depth unit.
     pub fn camera_file(&self) -> &CameraFile {
         &self.camera_file
     }
 
-    /// How many frames there are: at least one.
+    /// Number of frames, at least 1.
     #[expect(
         clippy::len_without_is_empty,
         reason = "an empty recording cannot be opened"
@@ -91,8 +92,8 @@ impl Dataset {
         self.loader.frames().len()
     }
 
-    /// The time of each frame, seconds, strictly increasing. Layouts without time stamps have 30
-    /// frames a second, from 0.
+    /// Timestamp of each frame, seconds, strictly increasing. Layouts without timestamps get 30
+    /// frames per second, starting at 0.
     pub fn timestamps(&self) -> impl ExactSizeIterator<Item = f64> {
         self.loader
             .frames()
@@ -100,8 +101,8 @@ impl Dataset {
             .map(|frame| frame.timestamp_secs)
     }
 
-    /// The known poses, at exactly the times of their frames ([`Trajectory::at`]). Some frames may
-    /// have none; `None` if no frame has one.
+    /// Ground-truth poses, at exactly the timestamps of their frames (see [`Trajectory::at`]). Some
+    /// frames may lack one; `None` if all do.
     pub fn ground_truth(&self) -> Option<&Trajectory> {
         self.ground_truth.as_ref()
     }
@@ -109,14 +110,14 @@ impl Dataset {
     /// Reads one frame.
     ///
     /// # Errors
-    /// There is no such frame, or one of its images cannot be decoded, is of another size than the
-    /// camera's, or is no 8-bit colour or 16-bit depth image.
+    /// If there is no such frame, or one of its images cannot be decoded, does not have the
+    /// camera's size, or is not an 8-bit colour or 16-bit depth image.
     pub fn frame(&self, index: usize) -> Result<RgbdFrame, DataError> {
         self.loader.load(index)
     }
 
-    /// The frames of a range, cut to the recording, in order and decoded ahead. A frame with an
-    /// error is an `Err` item, and the stream goes on behind it.
+    /// The frames of a range, clipped to the recording, in order and prefetched. A frame that
+    /// cannot be read is an `Err` item, and the stream continues with the next one.
     pub fn frames(&self, range: Range<usize>) -> FrameStream {
         FrameStream::new(&self.loader, range.start..range.end.min(self.len()))
     }

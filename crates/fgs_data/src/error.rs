@@ -1,14 +1,15 @@
-//! What can be wrong with a recording. Every message names the file, and the line or key in it.
+//! Errors of reading a recording. Every message names the file, and the line or key in it.
 
 use std::path::PathBuf;
 
 use fgs_geom::{CameraError, FrameError};
 use thiserror::Error;
 
-/// Why a recording, one of its frames, a camera file or a trajectory file is refused.
+/// Why a recording, a frame, a camera file or a trajectory file cannot be used.
 #[derive(Debug, Error)]
+#[non_exhaustive]
 pub enum DataError {
-    /// The operating system refused.
+    /// The operating system reported an error.
     #[error("{}: {source}", path.display())]
     Io {
         /// The file or folder.
@@ -16,16 +17,16 @@ pub enum DataError {
         /// Why.
         source: std::io::Error,
     },
-    /// A recording is a folder.
+    /// The path of a recording is not a folder.
     #[error("{} is not a folder", .0.display())]
     NotAFolder(PathBuf),
-    /// None of the four layouts.
+    /// The folder has none of the four layouts.
     #[error(
         "{} holds no recording: expected rgb.txt and depth.txt (TUM), results/ (Replica), \
          frame-*.color.png (7-Scenes), or the folders rgb/ and depth/", .0.display()
     )]
     UnknownFormat(PathBuf),
-    /// One of the two lists of a TUM recording is absent.
+    /// One of the two file lists of a TUM recording is missing.
     #[error("{} is missing: a TUM recording needs rgb.txt and depth.txt", .0.display())]
     MissingList(PathBuf),
     /// A list or folder without a single frame.
@@ -36,7 +37,7 @@ pub enum DataError {
         /// What was looked for.
         what: &'static str,
     },
-    /// A line of a text file.
+    /// A malformed line of a text file.
     #[error("{}:{line}: {fault}", path.display())]
     Line {
         /// The file.
@@ -46,7 +47,7 @@ pub enum DataError {
         /// What is wrong with it.
         fault: LineFault,
     },
-    /// Two sets of time stamps that should overlap do not.
+    /// Two sets of timestamps that should overlap do not.
     #[error(
         "nothing in {} ({:.3} to {:.3} s) is close in time to anything in {} ({:.3} to {:.3} s)",
         first.display(), first_span_secs.0, first_span_secs.1,
@@ -70,7 +71,7 @@ pub enum DataError {
         /// The file that should be there.
         depth: PathBuf,
     },
-    /// Two things that belong together one to one differ in number.
+    /// Two lists that should correspond one to one differ in length.
     #[error("{} holds {count}, but {} holds {other_count}", path.display(), other.display())]
     CountMismatch {
         /// The one file or folder.
@@ -82,7 +83,7 @@ pub enum DataError {
         /// How many that holds.
         other_count: usize,
     },
-    /// No camera is given and none is found. The message is a camera file to be completed.
+    /// No camera was given and none was found. The message is a template for a camera file.
     #[error(
         "no camera is known for {folder}: write {folder}/camera.toml with these lines\n\
          width = {width}\nheight = {height}\n\
@@ -100,7 +101,7 @@ pub enum DataError {
         /// Rows of its first colour image.
         height: u32,
     },
-    /// A camera file that cannot be understood.
+    /// A camera file that cannot be parsed.
     #[error("{}{}: {message}", path.display(), line.map(|line| format!(":{line}")).unwrap_or_default())]
     CameraFile {
         /// The file.
@@ -110,7 +111,7 @@ pub enum DataError {
         /// What is wrong, with the key.
         message: String,
     },
-    /// A camera file with a value that no camera has.
+    /// A camera file with a parameter out of range.
     #[error("{}: {source}", path.display())]
     Camera {
         /// The file.
@@ -129,7 +130,7 @@ pub enum DataError {
     /// A JPEG file that ends before its last pixel.
     #[error("{}: the JPEG image is cut short", .0.display())]
     Truncated(PathBuf),
-    /// A file too large for an image.
+    /// A file too large to be an image.
     #[error("{} is no image: it has more than {max_bytes} bytes", path.display())]
     FileSize {
         /// The file.
@@ -137,7 +138,7 @@ pub enum DataError {
         /// The most that is read.
         max_bytes: u64,
     },
-    /// A colour or depth image of another size than the camera's.
+    /// A colour or depth image without the camera's size.
     #[error(
         "{} is {width}x{height}, but the camera is {camera_width}x{camera_height}: colour, and \
          depth registered to it, must both have the camera's size", path.display()
@@ -154,15 +155,15 @@ pub enum DataError {
         /// The camera's rows.
         camera_height: usize,
     },
-    /// A colour image that is not 8 bits a channel.
+    /// A colour image without 8 bits per channel.
     #[error("{}: colour must have 8 bits a channel, not {bits}", path.display())]
     ColorBits {
         /// The file.
         path: PathBuf,
-        /// Its bits a channel.
+        /// Its bits per channel.
         bits: u16,
     },
-    /// A depth image that is not 16-bit grey.
+    /// A depth image that is not 16-bit greyscale.
     #[error(
         "{}: depth must be one channel of 16 bits, not {channels} of {bits}", path.display()
     )]
@@ -171,13 +172,13 @@ pub enum DataError {
         path: PathBuf,
         /// Its channels.
         channels: u8,
-        /// Its bits a channel.
+        /// Its bits per channel.
         bits: u16,
     },
-    /// A pose that no trajectory can hold.
+    /// An invalid pose in a trajectory.
     #[error("pose {index}: {fault}")]
     Pose {
-        /// Where it stands, from 0.
+        /// Its position in the trajectory, from 0.
         index: usize,
         /// What is wrong with it.
         fault: LineFault,
@@ -190,12 +191,12 @@ pub enum DataError {
         /// Why.
         source: FrameError,
     },
-    /// A frame that the recording does not have.
+    /// A frame index beyond the end of the recording.
     #[error("there is no frame {index}: the recording has {len}")]
     NoSuchFrame {
-        /// The frame asked for.
+        /// The requested frame.
         index: usize,
-        /// The recording's length.
+        /// Number of frames.
         len: usize,
     },
     /// Decoding a frame panicked, which is a bug.
@@ -203,10 +204,11 @@ pub enum DataError {
     DecoderPanicked(usize),
 }
 
-/// What is wrong with one line of a text file.
+/// What is wrong with a line of a text file, or with a pose.
 #[derive(Clone, Debug, Error, PartialEq)]
+#[non_exhaustive]
 pub enum LineFault {
-    /// Longer than any line of these formats.
+    /// Longer than any line of these formats can be.
     #[error("the line is longer than {0} bytes")]
     TooLong(usize),
     /// Not UTF-8.
@@ -215,32 +217,32 @@ pub enum LineFault {
     /// Too few or too many columns.
     #[error("expected {expected} columns, found {found}")]
     Columns {
-        /// As many as there should be.
+        /// Number required.
         expected: usize,
-        /// As many as there are.
+        /// Number found.
         found: usize,
     },
-    /// A column that should be a number.
+    /// A column that is not a finite number.
     #[error("'{0}' is not a finite number")]
     NotANumber(String),
-    /// Time stands still or runs backwards.
+    /// A timestamp not later than the previous one.
     #[error("time stamp {current} does not come after {previous}")]
     NotIncreasing {
-        /// The time stamp before, seconds.
+        /// The previous timestamp, seconds.
         previous: f64,
-        /// This one, seconds.
+        /// This timestamp, seconds.
         current: f64,
     },
-    /// A quaternion that is no rotation.
+    /// A quaternion whose length is not 1.
     #[error("the quaternion's length is {0}, not 1")]
     Quaternion(f64),
-    /// A matrix that is no rigid transform.
+    /// A matrix that is not a rigid transform.
     #[error("the matrix is no rigid transform: a rotation, a translation, and 0 0 0 1 below")]
     Matrix,
-    /// A position or time stamp beyond everything plausible, or not finite.
+    /// A position or timestamp that is implausibly large or not finite.
     #[error("{0} is out of range")]
     OutOfRange(f64),
-    /// A file named by a list is not there.
+    /// A listed file that does not exist.
     #[error("{} does not exist", .0.display())]
     AbsentFile(PathBuf),
 }

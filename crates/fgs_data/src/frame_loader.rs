@@ -1,5 +1,5 @@
-//! One frame from its two files: the only place where stored depth becomes metres and where lens
-//! distortion is removed.
+//! Loads one frame from its two files: decodes them, converts depth to metres and removes lens
+//! distortion.
 
 use std::sync::Arc;
 
@@ -9,7 +9,7 @@ use crate::formats::FrameFiles;
 use crate::images::{read_color, read_depth};
 use crate::{CameraFile, DataError};
 
-/// All that decoding a frame takes; shared by the decoder threads.
+/// Everything needed to load a frame; shared by the decoder threads.
 pub(crate) struct FrameLoader {
     frames: Vec<FrameFiles>,
     camera: Camera,

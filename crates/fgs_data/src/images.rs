@@ -1,7 +1,7 @@
-//! Decoding one colour or depth image (PNG or JPEG).
+//! Decodes a colour or depth image (PNG or JPEG).
 //!
-//! Size and pixel type are checked before any pixel is decoded, so memory is bounded by the
-//! camera's size whatever a file claims.
+//! Size and pixel type are checked before any pixel is decoded, so that memory is bounded by the
+//! camera's size, whatever the file's header claims.
 
 use std::fs::File;
 use std::io::{Cursor, Read};

@@ -1,9 +1,9 @@
 //! RGB-D recordings on disk, read as a stream of frames, and trajectory files.
 //!
-//! Input: a folder in one of four layouts ([`Format`]). Output: [`fgs_geom::RgbdFrame`]s with
-//! depth in metres and without lens distortion, in order, decoded ahead on threads of their own.
+//! Input: a folder in one of four layouts ([`Format`]). Output: undistorted
+//! [`fgs_geom::RgbdFrame`]s with depth in metres, in order, prefetched on decoder threads.
 //!
-//! The one invariant: what depends on a data set's layout, units or quaternion order stays inside
+//! Invariant: everything specific to a data set (layout, depth unit, quaternion order) stays inside
 //! this crate; nothing downstream can tell where a frame came from.
 //!
 //! ```no_run

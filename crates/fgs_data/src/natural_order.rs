@@ -1,4 +1,4 @@
-//! Files of a folder in the order people expect: `frame2` before `frame10`.
+//! Natural sort order of file names: `frame2` before `frame10`.
 
 use std::cmp::Ordering;
 use std::fs;

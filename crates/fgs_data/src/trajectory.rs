@@ -1,8 +1,8 @@
-//! A trajectory and its text file: TUM's eight columns `timestamp tx ty tz qx qy qz qw`, seconds
-//! and metres, camera to world.
+//! Trajectories and their text files in TUM's format: `timestamp tx ty tz qx qy qz qw` per line,
+//! seconds and metres, `world_from_camera`.
 //!
-//! The file's quaternion order, xyzw, exists in this file only. A [`Trajectory`] holds finite poses
-//! at strictly increasing times.
+//! The format's quaternion order, xyzw, appears in this module only. A [`Trajectory`] holds finite
+//! poses at strictly increasing times.
 
 use std::io::Write;
 use std::path::Path;
@@ -19,7 +19,7 @@ const MAX_QUATERNION_LENGTH_ERROR: f64 = 0.05;
 /// A thousand kilometres: single precision, in which maps are kept, is good to 6 cm there.
 const MAX_COORDINATE_M: f64 = 1e6;
 
-/// Where the camera was at one time.
+/// A camera pose with its timestamp.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct StampedPose {
     /// Seconds on the recording's clock.
@@ -35,10 +35,10 @@ pub struct Trajectory {
 }
 
 impl Trajectory {
-    /// The trajectory through these poses, each with its time in seconds.
+    /// Creates a trajectory from (timestamp in seconds, pose) pairs.
     ///
     /// # Errors
-    /// Names the first pose that is not finite or not later than the one before.
+    /// For the first pose that is not finite or not later than its predecessor.
     pub fn new(poses: impl IntoIterator<Item = (f64, Se3)>) -> Result<Self, DataError> {
         let mut trajectory = Self::default();
         for (index, (timestamp_secs, world_from_camera)) in poses.into_iter().enumerate() {
@@ -77,11 +77,11 @@ impl Trajectory {
         Ok(())
     }
 
-    /// Reads TUM's eight columns; `#` begins a comment.
+    /// Reads a file in TUM's format; lines starting with `#` are comments.
     ///
     /// # Errors
-    /// The file cannot be read, or a line is not eight finite numbers, its quaternion's length is
-    /// not 1, or its time does not come after the line before; with path and line.
+    /// If the file cannot be read, or a line does not hold eight finite numbers, a unit quaternion
+    /// and a timestamp later than the previous one, with path and line number.
     pub fn read(path: &Path) -> Result<Self, DataError> {
         let mut trajectory = Self::default();
         let mut lines = Lines::open(path)?;
@@ -100,11 +100,11 @@ impl Trajectory {
         Ok(trajectory)
     }
 
-    /// Writes TUM's eight columns so that [`Trajectory::read`] gives the same numbers. The file
-    /// appears complete or not at all.
+    /// Writes a file in TUM's format with all digits, so that [`Trajectory::read`] returns the same
+    /// numbers. The file appears complete or not at all.
     ///
     /// # Errors
-    /// The file cannot be written.
+    /// If the file cannot be written.
     pub fn write(&self, path: &Path) -> Result<(), DataError> {
         fgs_files::write_file(path, |file| self.write_lines(file)).map_err(|source| DataError::Io {
             path: path.into(),
@@ -127,18 +127,19 @@ impl Trajectory {
         Ok(())
     }
 
-    /// The poses, in order of time.
+    /// The poses in chronological order.
     pub fn poses(&self) -> &[StampedPose] {
         &self.poses
     }
 
-    /// The pose at exactly this time, if there is one.
+    /// The pose with exactly this timestamp, if there is one.
     pub fn at(&self, timestamp_secs: f64) -> Option<Se3> {
         self.interpolate(timestamp_secs, 0.0)
     }
 
-    /// The pose at a time: the one given for it, or else along the geodesic between its two
-    /// neighbours, if they are no more than `max_gap_secs` apart. `None` outside the trajectory.
+    /// The pose at any time: that of an equal timestamp or, if the neighbouring poses are at most
+    /// `max_gap_secs` apart, interpolated along the geodesic between them. `None` outside the
+    /// trajectory and in longer gaps.
     pub fn interpolate(&self, timestamp_secs: f64, max_gap_secs: f64) -> Option<Se3> {
         let next = self
             .poses

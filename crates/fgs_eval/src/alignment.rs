@@ -1,14 +1,15 @@
-//! The rigid transform that brings one set of points nearest to another (B. K. P. Horn,
-//! "Closed-form solution of absolute orientation using unit quaternions", 1987), without scale.
+//! Least-squares rigid alignment of two point sets, without scale (B. K. P. Horn, "Closed-form
+//! solution of absolute orientation using unit quaternions", 1987).
 
 use fgs_geom::Se3;
 use nalgebra::{Matrix3, Matrix4, Quaternion, SymmetricEigen, UnitQuaternion, Vector3};
 
-/// `reference_from_estimated`, the transform with the least sum of squared distances from
-/// `reference[i]` to the transformed `estimated[i]`. The lists are of equal length and finite.
+/// The transform `reference_from_estimated` that minimises the sum of squared distances between
+/// `reference[i]` and the transformed `estimated[i]`. The lists must have equal length and hold
+/// finite values.
 ///
-/// Points on a line leave the rotation about it open, a single spot leaves all of it open: any of
-/// the best transforms is returned, and the distances are the same for all of them.
+/// Collinear or coincident points do not determine the rotation: one of the minimisers is returned,
+/// and the distances are the same for all of them.
 pub fn align_positions(estimated: &[Vector3<f64>], reference: &[Vector3<f64>]) -> Se3 {
     let mean =
         |points: &[Vector3<f64>]| points.iter().sum::<Vector3<f64>>() / points.len().max(1) as f64;

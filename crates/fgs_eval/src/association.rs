@@ -1,9 +1,9 @@
-//! Pairs the entries of two recordings by their timestamps, for instance an estimated trajectory
-//! that lacks the lost frames with its reference.
+//! Associates the entries of two lists by timestamp, for example an estimated trajectory that lacks
+//! the lost frames with its reference.
 
-/// Pairs `(i, j)` with `a_secs[i]` nearest to `b_secs[j]` and no more than `max_difference_secs`
-/// apart, in the order of `i`. An entry of `b` has at most one partner, the nearest of those that
-/// want it (the first of equally near ones). Neither list needs to be in order.
+/// Index pairs `(i, j)` where `b_secs[j]` is the entry nearest to `a_secs[i]` and at most
+/// `max_difference_secs` away, in the order of `i`. If several `i` share a nearest `j`, the closest
+/// of them gets it (on ties the first). The lists need not be sorted.
 pub fn associate(a_secs: &[f64], b_secs: &[f64], max_difference_secs: f64) -> Vec<(usize, usize)> {
     let mut order: Vec<usize> = (0..b_secs.len()).collect();
     order.sort_by(|&i, &j| b_secs[i].total_cmp(&b_secs[j]));

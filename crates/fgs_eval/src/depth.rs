@@ -1,11 +1,11 @@
-//! Error of rendered depth.
+//! Depth error of a render.
 
 use fgs_geom::{Image, has_depth};
 
 use crate::EvalError;
 use crate::pixels::check_size;
 
-/// Below this accumulated alpha a pixel shows more background than map, and its depth says little.
+/// Below this accumulated alpha a pixel shows more background than map, and its depth means little.
 const MIN_ALPHA: f32 = 0.5;
 
 /// Error of rendered depth against the measured one.
@@ -13,13 +13,12 @@ const MIN_ALPHA: f32 = 0.5;
 pub struct DepthError {
     /// Mean absolute error over the compared pixels, metres.
     pub l1_m: f64,
-    /// Share of the pixels with measured depth that were compared, those with a rendered alpha
-    /// above 0.5.
+    /// Fraction of the pixels with measured depth that were compared.
     pub compared_share: f64,
 }
 
-/// Compares rendered with measured depth (both metres along z) where depth is measured, the
-/// rendered alpha is above 0.5 and the rendered depth is finite. `None` if there is no such pixel.
+/// Compares rendered and measured depth (metres along z) at the pixels with measured depth,
+/// rendered alpha above 0.5 and finite rendered depth. `None` if there is no such pixel.
 ///
 /// # Errors
 /// For images of unequal size.

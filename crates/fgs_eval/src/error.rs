@@ -1,11 +1,12 @@
-//! Everything that can be wrong with the input of an evaluation.
+//! Errors of an evaluation: invalid or insufficient input.
 
 use thiserror::Error;
 
-/// Why something cannot be evaluated.
+/// Why a trajectory or an image cannot be evaluated.
 #[derive(Clone, Debug, Error, PartialEq)]
+#[non_exhaustive]
 pub enum EvalError {
-    /// Estimated and reference poses do not pair up.
+    /// Estimated and reference trajectory differ in length.
     #[error("{estimated} estimated poses cannot be compared with {reference} reference poses")]
     UnequalLengths {
         /// Number of estimated poses.
@@ -13,7 +14,7 @@ pub enum EvalError {
         /// Number of reference poses.
         reference: usize,
     },
-    /// The error is not defined for so few poses.
+    /// The error is not defined for this few poses.
     #[error("{poses} poses are too few, at least {minimum} are needed")]
     TooFewPoses {
         /// Number of poses given.
@@ -21,10 +22,10 @@ pub enum EvalError {
         /// Number of poses needed.
         minimum: usize,
     },
-    /// A relative error over no frames.
+    /// The frame delta of a relative error is 0.
     #[error("the frame delta of a relative error must be at least 1")]
     ZeroDelta,
-    /// A position is not finite or further from the origin than any recording reaches.
+    /// A position is not finite or implausibly far from the origin.
     #[error("pose {index} of the {trajectory} trajectory is not finite or out of range")]
     PoseOutOfRange {
         /// "estimated" or "reference".
@@ -40,7 +41,7 @@ pub enum EvalError {
         /// Width and height of the second image.
         b: (usize, usize),
     },
-    /// The image is smaller than the window of the measure.
+    /// The image is smaller than SSIM's window.
     #[error(
         "an image of {width}x{height} is too small, at least {minimum} pixels a side are needed"
     )]

@@ -1,22 +1,22 @@
-//! Summary of a list of errors.
+//! Summary statistics of a list of errors.
 
-/// Summary of errors, in their unit.
+/// Summary statistics, in the unit of the errors.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Statistics {
-    /// Root of the mean square.
+    /// Root mean square.
     pub rmse: f64,
     /// Mean.
     pub mean: f64,
-    /// Median; of an even number of errors the mean of the two in the middle.
+    /// Median; for an even number of errors the mean of the two middle ones.
     pub median: f64,
-    /// Largest.
+    /// Maximum.
     pub max: f64,
-    /// Standard deviation of the errors themselves (divided by their number, not one less).
+    /// Population standard deviation (divided by n, not n - 1).
     pub std: f64,
 }
 
 impl Statistics {
-    /// The summary of finite, non-negative errors; `None` if there are none.
+    /// Summarises finite, non-negative errors; `None` if the list is empty.
     pub(crate) fn of(mut errors: Vec<f64>) -> Option<Self> {
         errors.sort_by(f64::total_cmp);
         let max = *errors.last()?;

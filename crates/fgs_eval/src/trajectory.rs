@@ -1,8 +1,8 @@
 //! Absolute and relative trajectory error (J. Sturm et al., "A benchmark for the evaluation of
-//! RGB-D SLAM systems", 2012), equal to those of `evo`.
+//! RGB-D SLAM systems", 2012), with the same results as `evo`.
 //!
-//! In: estimated and reference poses `world_from_camera`, paired by position in the list.
-//! The paper's "ATE RMSE" is, in its code, the mean.
+//! Input: estimated and reference poses `world_from_camera`, paired by index. What the paper
+//! reports as "ATE RMSE" is the mean in its code.
 
 use fgs_geom::Se3;
 use nalgebra::Vector3;
@@ -21,7 +21,7 @@ const MIN_POSES_TO_ALIGN: usize = 3;
 pub struct Ate {
     /// Distances between aligned estimated and reference positions, metres.
     pub translation_m: Statistics,
-    /// The alignment, without scale.
+    /// The rigid alignment (no scale) that was applied.
     pub reference_from_estimated: Se3,
 }
 
@@ -34,8 +34,8 @@ pub struct Rpe {
     pub rotation_deg: Statistics,
 }
 
-/// The absolute trajectory error after the best rigid alignment of the positions. Trajectories on a
-/// line or standing still are aligned as well as they can be ([`align_positions`]).
+/// Absolute trajectory error after least-squares rigid alignment of the positions. For straight or
+/// stationary trajectories the alignment is not unique, but the error is ([`align_positions`]).
 ///
 /// # Errors
 /// For lists of unequal length, fewer than 3 poses, and values out of range.
@@ -55,8 +55,8 @@ pub fn ate(estimated: &[Se3], reference: &[Se3]) -> Result<Ate, EvalError> {
     })
 }
 
-/// The relative pose error between all poses `i` and `i + delta`: the transform from the reference
-/// motion to the estimated one.
+/// Relative pose error over all pose pairs `(i, i + delta)`, `delta` in frames: the difference
+/// between estimated and reference relative motion.
 ///
 /// # Errors
 /// For lists of unequal length, a delta of 0, no more than `delta` poses, and values out of range.

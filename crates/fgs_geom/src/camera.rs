@@ -18,35 +18,35 @@ pub struct Intrinsics {
     pub cy: f64,
 }
 
-/// Why a camera's values are refused. `key` is the name of the value in a camera file.
+/// A camera parameter out of its plausible range.
 #[derive(Clone, Debug, Error, PartialEq)]
 #[error("{key} = {value} is not possible: {expected}")]
 pub struct CameraError {
-    /// The value's name in a camera file.
+    /// Name of the parameter, as in a camera file.
     pub key: &'static str,
-    /// The value refused.
+    /// The rejected value.
     pub value: f64,
-    /// What it should be.
+    /// The accepted range, in words.
     pub expected: String,
 }
 
-/// A pinhole camera without distortion.
+/// A pinhole camera without lens distortion.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Camera {
-    /// Columns.
+    /// Image width, pixels.
     pub width: usize,
-    /// Rows.
+    /// Image height, pixels.
     pub height: usize,
     /// Focal lengths and principal point.
     pub intrinsics: Intrinsics,
 }
 
 impl Camera {
-    /// A camera whose values are plausible: 1 to 65536 pixels a side, a focal length between a
-    /// tenth and a hundred times the image's longer side, a principal point inside the image.
+    /// Creates a camera after checking its parameters: 1 to 65536 pixels per side, focal lengths
+    /// between 0.1 and 100 times the longer side, the principal point inside the image.
     ///
     /// # Errors
-    /// Names the first value that is not.
+    /// Names the first parameter out of range.
     pub fn new(width: usize, height: usize, intrinsics: Intrinsics) -> Result<Self, CameraError> {
         let refuse = |key, value: f64, expected: String| {
             Err(CameraError {
@@ -83,8 +83,8 @@ impl Camera {
         })
     }
 
-    /// The pixel coordinates of a point in camera axes, in or outside the image; `None` unless it
-    /// lies in front of the camera.
+    /// Projects a point in camera coordinates to pixel coordinates, which may lie outside the
+    /// image. `None` if the point is not in front of the camera.
     #[inline]
     pub fn project(&self, point: &Vector3<f64>) -> Option<Vector2<f64>> {
         let Intrinsics { fx, fy, cx, cy } = self.intrinsics;
@@ -92,20 +92,20 @@ impl Camera {
             .then(|| Vector2::new(fx * point.x / point.z + cx, fy * point.y / point.z + cy))
     }
 
-    /// The ray K^-1 (u, v, 1) through a pixel, with z = 1, in camera axes.
+    /// The viewing ray K^-1 (u, v, 1) of a pixel in camera coordinates, scaled to z = 1.
     #[inline]
     pub fn ray(&self, u: f64, v: f64) -> Vector3<f64> {
         let Intrinsics { fx, fy, cx, cy } = self.intrinsics;
         Vector3::new((u - cx) / fx, (v - cy) / fy, 1.0)
     }
 
-    /// The point at `depth_m` along z seen at a pixel, in camera axes.
+    /// Back-projects a pixel at depth `depth_m` (along z) to a point in camera coordinates.
     #[inline]
     pub fn unproject(&self, u: f64, v: f64, depth_m: f64) -> Vector3<f64> {
         self.ray(u, v) * depth_m
     }
 
-    /// Whether pixel coordinates round to a pixel of the image.
+    /// Whether pixel coordinates, rounded to the nearest pixel, lie in the image.
     #[inline]
     pub fn contains(&self, pixel: &Vector2<f64>) -> bool {
         let inside = |x: f64, size: usize| (-0.5..size as f64 - 0.5).contains(&x);
@@ -113,12 +113,12 @@ impl Camera {
     }
 }
 
-/// A camera in a place.
+/// A camera and its pose.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct View {
     /// The camera.
     pub camera: Camera,
-    /// Its pose.
+    /// The camera's pose in the world.
     pub world_from_camera: Se3,
 }
 

@@ -1,21 +1,22 @@
-//! Radial-tangential lens distortion (Brown-Conrady, as in OpenCV) and its removal from images.
+//! Radial-tangential lens distortion (Brown-Conrady, OpenCV's convention) and undistortion of
+//! images.
 
 use nalgebra::Vector2;
 
 use crate::{Camera, Image};
 
-/// Coefficients in OpenCV's order: k1, k2, p1, p2, k3.
+/// Distortion coefficients in OpenCV's order: k1, k2, p1, p2, k3.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Distortion {
-    /// Radial, r^2.
+    /// Radial coefficient of r^2.
     pub k1: f64,
-    /// Radial, r^4.
+    /// Radial coefficient of r^4.
     pub k2: f64,
-    /// Tangential.
+    /// First tangential coefficient.
     pub p1: f64,
-    /// Tangential.
+    /// Second tangential coefficient.
     pub p2: f64,
-    /// Radial, r^6.
+    /// Radial coefficient of r^6.
     pub k3: f64,
 }
 
@@ -25,7 +26,7 @@ impl Distortion {
         Self { k1, k2, p1, p2, k3 }
     }
 
-    /// Where the lens moves the ideal point (x/z, y/z).
+    /// Maps an undistorted point (x/z, y/z) in normalised image coordinates to the distorted one.
     pub fn distort(&self, ideal: &Vector2<f64>) -> Vector2<f64> {
         let (x, y) = (ideal.x, ideal.y);
         let r2 = x * x + y * y;
@@ -37,15 +38,15 @@ impl Distortion {
     }
 }
 
-/// For each pixel of the ideal image, the coordinates in the distorted image that it shows.
-/// Both images have the same intrinsics.
+/// A lookup table for undistortion: for each pixel of the undistorted image its source coordinates
+/// in the distorted one. Both images have the same intrinsics.
 #[derive(Clone, Debug)]
 pub struct UndistortionMap {
     source: Image<[f32; 2]>,
 }
 
 impl UndistortionMap {
-    /// The map for one camera and lens.
+    /// Computes the table for one camera and lens.
     pub fn new(camera: &Camera, distortion: &Distortion) -> Self {
         let k = camera.intrinsics;
         let source = Image::from_fn(camera.width, camera.height, |u, v| {

@@ -1,4 +1,4 @@
-//! A row-major image of any pixel type.
+//! A row-major image with any pixel type.
 
 use thiserror::Error;
 
@@ -20,7 +20,7 @@ pub struct Image<T> {
 }
 
 impl<T> Image<T> {
-    /// From row-major values.
+    /// Creates an image from row-major values.
     ///
     /// # Errors
     /// If `data` does not hold `width * height` values.
@@ -36,7 +36,8 @@ impl<T> Image<T> {
         })
     }
 
-    /// Each pixel from its column `u` and row `v`.
+    /// Creates an image by calling `pixel(u, v)` for each column `u` and row `v`, in row-major
+    /// order.
     pub fn from_fn(width: usize, height: usize, mut pixel: impl FnMut(usize, usize) -> T) -> Self {
         let mut data = Vec::with_capacity(width * height);
         for v in 0..height {
@@ -49,12 +50,12 @@ impl<T> Image<T> {
         }
     }
 
-    /// Columns.
+    /// Width, pixels.
     pub fn width(&self) -> usize {
         self.width
     }
 
-    /// Rows.
+    /// Height, pixels.
     pub fn height(&self) -> usize {
         self.height
     }
@@ -64,12 +65,12 @@ impl<T> Image<T> {
         &self.data
     }
 
-    /// All pixels, row-major, to be changed in place.
+    /// All pixels, row-major, mutable.
     pub fn data_mut(&mut self) -> &mut [T] {
         &mut self.data
     }
 
-    /// The pixels, row-major, without the size.
+    /// Consumes the image and returns its pixels, row-major.
     pub fn into_data(self) -> Vec<T> {
         self.data
     }
@@ -95,7 +96,7 @@ impl<T> Image<T> {
         panic!("pixel ({u}, {v}) is outside an image of {width}x{height}");
     }
 
-    /// The same image with every pixel mapped.
+    /// An image of the same size with `f` applied to every pixel.
     pub fn map<U>(&self, f: impl FnMut(&T) -> U) -> Image<U> {
         Image {
             width: self.width,
@@ -106,7 +107,7 @@ impl<T> Image<T> {
 }
 
 impl<T: Copy> Image<T> {
-    /// Every pixel the same.
+    /// An image with every pixel set to `value`.
     pub fn filled(width: usize, height: usize, value: T) -> Self {
         Self {
             width,

@@ -21,7 +21,7 @@ pub struct Se3 {
 }
 
 impl Se3 {
-    /// The transform with the given parts.
+    /// Creates a transform from its rotation and translation.
     pub fn new(rotation: UnitQuaternion<f64>, translation: Vector3<f64>) -> Self {
         Self {
             rotation,
@@ -29,13 +29,13 @@ impl Se3 {
         }
     }
 
-    /// The transform that changes nothing.
+    /// The identity transform.
     pub fn identity() -> Self {
         Self::new(UnitQuaternion::identity(), Vector3::zeros())
     }
 
-    /// From a quaternion `[w, x, y, z]` of any length and a translation.
-    /// `None` if a value is not finite or the quaternion is (nearly) zero.
+    /// Creates a transform from a quaternion `[w, x, y, z]`, which need not be normalised, and a
+    /// translation. `None` if a value is not finite or the quaternion's norm is below 1e-9.
     pub fn from_wxyz(quat: [f64; 4], translation: [f64; 3]) -> Option<Self> {
         let quaternion = Quaternion::new(quat[0], quat[1], quat[2], quat[3]);
         let norm = quaternion.norm();
@@ -48,9 +48,9 @@ impl Se3 {
         })
     }
 
-    /// From the upper 3x4 part of a homogeneous matrix, its 3x3 part replaced by the nearest
-    /// rotation. `None` if a value is not finite or the 3x3 part is further than 0.01 (largest
-    /// entry) from that rotation.
+    /// Creates a transform from the upper 3x4 part of a homogeneous matrix. The 3x3 part is
+    /// projected onto the nearest rotation; `None` if any of its entries changes by more than 0.01,
+    /// if it is a reflection, or if a value is not finite.
     pub fn from_matrix(matrix: &Matrix4<f64>) -> Option<Self> {
         if matrix.iter().any(|value| !value.is_finite()) {
             return None;
@@ -103,19 +103,19 @@ impl Se3 {
         Vector6::new(omega.x, omega.y, omega.z, v.x, v.y, v.z)
     }
 
-    /// `b_from_a` of this `a_from_b`.
+    /// The inverse transform: `b_from_a` for this `a_from_b`.
     pub fn inverse(&self) -> Self {
         let rotation = self.rotation.inverse();
         Self::new(rotation, -(rotation * self.translation))
     }
 
-    /// Maps a point from `b` to `a`.
+    /// Transforms a point from `b` coordinates to `a` coordinates.
     pub fn transform(&self, point: &Vector3<f64>) -> Vector3<f64> {
         self.rotation * point + self.translation
     }
 
-    /// The pose the fraction `t` of the way along the geodesic from `self` to `other`
-    /// (`t` outside `[0, 1]` extrapolates).
+    /// Interpolates along the geodesic from `self` (`t` = 0) to `other` (`t` = 1); `t` outside
+    /// `[0, 1]` extrapolates.
     pub fn interpolate(&self, other: &Self, t: f64) -> Self {
         let delta = (self.inverse() * *other).log();
         *self * Self::exp(&(delta * t))
@@ -130,8 +130,8 @@ impl Se3 {
         matrix
     }
 
-    /// The same rotation with its quaternion rescaled to unit length: products of many transforms
-    /// drift from it by rounding.
+    /// The same transform with its quaternion renormalised: rounding errors accumulate in long
+    /// products of transforms.
     pub fn renormalized(&self) -> Self {
         Self::new(
             UnitQuaternion::from_quaternion(self.rotation.into_inner()),
@@ -151,7 +151,7 @@ impl Mul for Se3 {
     }
 }
 
-/// The matrix of the cross product: `skew(a) * b = a x b`.
+/// The skew-symmetric cross-product matrix: `skew(a) * b = a x b`.
 pub fn skew(a: &Vector3<f64>) -> Matrix3<f64> {
     Matrix3::new(0.0, -a.z, a.y, a.z, 0.0, -a.x, -a.y, a.x, 0.0)
 }

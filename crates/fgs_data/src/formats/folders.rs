@@ -1,4 +1,4 @@
-//! A folder of colour images and a folder of depth images, paired in the order of their names.
+//! A folder of colour images and a folder of depth images, paired in natural order of their names.
 
 use std::path::{Path, PathBuf};
 

@@ -1,7 +1,7 @@
-//! The layouts of recordings: which one a folder has, and what it lists.
+//! The layouts of recordings on disk: detection, and one reader per layout.
 //!
-//! Each reader turns a folder into a [`Recording`]: file names, times and known poses. No image is
-//! opened here, and no reader knows the camera.
+//! A reader turns a folder into a [`Recording`]: file names, timestamps and ground-truth poses. It
+//! opens no image and does not know the camera.
 
 mod folders;
 mod poses;
@@ -21,15 +21,15 @@ const FRAME_RATE_HZ: f64 = 30.0;
 /// How a recording is laid out in its folder.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Format {
-    /// TUM RGB-D: `rgb.txt` and `depth.txt`, or `associations.txt`; `groundtruth.txt` if known.
+    /// TUM RGB-D: `rgb.txt` and `depth.txt`, or `associations.txt`; optionally `groundtruth.txt`.
     Tum,
-    /// Replica as NICE-SLAM renders it: `results/frame*.jpg`, `results/depth*.png`; `traj.txt` if
-    /// known.
+    /// Replica as rendered by NICE-SLAM: `results/frame*.jpg`, `results/depth*.png`; optionally
+    /// `traj.txt`.
     Replica,
-    /// 7-Scenes: `frame-*.color.png`, `frame-*.depth.png`; `frame-*.pose.txt` where known.
+    /// 7-Scenes: `frame-*.color.png`, `frame-*.depth.png`; optionally `frame-*.pose.txt`.
     SevenScenes,
-    /// A folder `rgb`, `color`, `image` or `images` and a folder `depth`, paired in the order of
-    /// their file names; `traj.txt` or `groundtruth.txt` if known.
+    /// A folder `rgb`, `color`, `image` or `images` and a folder `depth`, paired in natural order
+    /// of their file names; optionally `traj.txt` or `groundtruth.txt`.
     Folders,
 }
 

@@ -1,5 +1,5 @@
-//! Known poses as the layouts store them: 4x4 matrices, camera to world, row by row; or a
-//! trajectory file on the frames' clock.
+//! Ground-truth poses as the layouts store them: row-major 4x4 matrices `world_from_camera`, or a
+//! trajectory file with timestamps on the frames' clock.
 
 use std::path::Path;
 

@@ -1,4 +1,5 @@
-//! Replica as NICE-SLAM renders it: `results/frame*.jpg` with `results/depth*.png`, and `traj.txt`.
+//! Replica as rendered by NICE-SLAM: `results/frame*.jpg` with `results/depth*.png`, and
+//! `traj.txt`.
 
 use std::path::Path;
 
