@@ -3,6 +3,7 @@
 //! A tracking keyframe shows much that the sparse map lacks: it extends both maps. A mapping
 //! keyframe, every so many frames after it, only improves the dense map.
 
+use std::fmt;
 use std::sync::Arc;
 
 use fgs_geom::{RgbdFrame, Se3};
@@ -11,7 +12,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::config::KeyframeConfig;
 
-/// What a keyframe is for.
+/// What a keyframe is for. As text: the variant's name in lower case.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum KeyframeKind {
@@ -19,6 +20,12 @@ pub enum KeyframeKind {
     Tracking,
     /// Only for the dense map.
     Mapping,
+}
+
+impl fmt::Display for KeyframeKind {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.serialize(f)
+    }
 }
 
 /// All that the mapper needs of a frame, in one message.

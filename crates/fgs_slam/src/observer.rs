@@ -1,12 +1,14 @@
 //! What the outside may see of a run while it runs: progress bars and viewers implement
 //! [`Observer`].
 
+use std::fmt;
+
 use serde::{Deserialize, Serialize};
 
 use crate::keyframes::KeyframeKind;
 use crate::tracker::Tracked;
 
-/// What became of a frame.
+/// What became of a frame. As text: the variant's name in lower case.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum FrameStatus {
@@ -18,6 +20,12 @@ pub enum FrameStatus {
     Damaged,
     /// It arrived too late in real time and was skipped.
     Dropped,
+}
+
+impl fmt::Display for FrameStatus {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.serialize(f)
+    }
 }
 
 /// Something that happened.
