@@ -1,41 +1,42 @@
-//! What goes wrong with a graphics device: none is there, it is too small, or it fails.
+//! Errors of a graphics device: there is none, it does not meet the requirements, or it fails. Also
+//! there in builds without a GPU backend, so that [`ModelError`](crate::ModelError) is always the same.
 //!
-//! Messages are for the person who runs the program, the device's own words at their end.
+//! Messages are meant for the user; the driver's own words come last.
 
 use thiserror::Error;
 
 /// Why a graphics device cannot compute.
 #[derive(Clone, Debug, Error, PartialEq)]
 pub enum GpuError {
-    /// There is no device that may be used. What is known of it, or nothing.
+    /// There is no usable device. Details, or empty.
     #[error("no graphics device was found{}", after_colon(.0))]
     NoAdapter(String),
-    /// The device is below what is needed.
+    /// The device does not meet the requirements.
     #[error("{device} cannot be used: {what}")]
     Unfit {
         /// The device's name.
         device: String,
-        /// The limit, what the device has and what is needed.
+        /// The limit: actual and required.
         what: String,
     },
-    /// A buffer would be larger than the device binds.
+    /// A buffer would exceed the device's limit.
     #[error(
         "{what} take {} MB, but the graphics device binds no more than {} MB at once",
         .needed.div_ceil(1_000_000),
         .limit / 1_000_000
     )]
     TooLarge {
-        /// What lies in the buffer, in the plural.
+        /// The buffer's contents, in the plural.
         what: &'static str,
         /// Bytes needed.
         needed: u64,
-        /// Bytes that the device binds.
+        /// The largest buffer that the device can bind, bytes.
         limit: u64,
     },
-    /// The device is gone, for example because its driver was restarted.
+    /// The device was lost, for example because its driver was restarted.
     #[error("the graphics device was lost{}", after_colon(.0))]
     Lost(String),
-    /// The device has no memory left.
+    /// The device is out of memory.
     #[error("the graphics device is out of memory{}", after_colon(.0))]
     OutOfMemory(String),
     /// Anything else that the device reports.

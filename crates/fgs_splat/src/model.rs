@@ -24,14 +24,14 @@ pub struct Seeds {
     pub sparse_ids: Vec<Option<SparseId>>,
 }
 
-/// Which gaussians [`GaussianModel::prune`] removes.
+/// Which gaussians [`GaussianModel::prune`] removes: any that one of the limits rejects.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PruneRule {
-    /// Less opaque ones.
+    /// Minimum opacity, 0 to 1.
     pub min_opacity: f32,
-    /// Ones with a longer axis, metres.
+    /// Maximum standard deviation along the longest axis, metres.
     pub max_scale_m: f32,
-    /// Ones with a larger ratio of the two longer axes.
+    /// Maximum ratio of the longest axis to the middle one.
     pub max_aspect: f32,
 }
 
@@ -44,7 +44,7 @@ pub struct StepStats {
     pub loss: f32,
     /// How many gaussians contributed to a pixel.
     pub visible: usize,
-    /// How many gradients were not finite and left out.
+    /// How many gaussians were skipped because their gradient was not finite.
     pub skipped_gradients: usize,
 }
 
@@ -93,7 +93,7 @@ pub enum ModelError {
 
 /// A map of gaussians that can be rendered and optimised.
 pub trait GaussianModel: Send {
-    /// Number of gaussians. A device may go on counting for some steps what was pruned.
+    /// Number of gaussians. On a device, pruned ones may still be counted for a few steps.
     fn len(&self) -> usize;
 
     /// Whether there are none.
@@ -125,10 +125,10 @@ pub trait GaussianModel: Send {
     /// is named twice its motions are applied in turn. Keyframes without gaussians or a view are
     /// accepted.
     ///
-    /// Adam's state turns with the gaussians. First moments are vectors (of a mean) or transform like
-    /// the quaternion, so they turn exactly. Second moments hold squares without the products of
-    /// different axes; they become `v_i = sum_j R_ij^2 v_j`, exact for uncorrelated derivatives, which
-    /// at most multiplies the longest possible step by the root of the number of axes.
+    /// Adam's moments are rotated along. First moments transform like the parameters' derivatives, so
+    /// this is exact. Second moments lack the off-diagonal terms and become
+    /// `v_i = sum_j R_ij^2 v_j`, exact for uncorrelated derivatives; this keeps Adam's bound on the
+    /// length of a step up to the square root of the number of axes.
     ///
     /// # Errors
     /// If a motion is not finite, in which case nothing moves, or the device fails.

@@ -1,8 +1,8 @@
-//! The memory of a model on its device: buffers found by the names that the shaders give them, each
-//! group growing when it must.
+//! All device buffers of a model, looked up by their names in the shaders and grown in groups when
+//! they become too small.
 //!
-//! Invariant: what belongs to gaussians (parameters, moments, sets) survives growing; the rest is
-//! written anew by each pass before it is read.
+//! Invariant: per-gaussian state (parameters, anchors, moments, visibility sets) survives growing;
+//! everything else is rewritten by each pass before it is read.
 
 use std::collections::BTreeMap;
 
@@ -15,25 +15,25 @@ use super::layout::{
 };
 use crate::GpuError;
 
-/// Sets of gaussians to begin with.
+/// Initial capacity, in visibility sets.
 const FIRST_SETS: usize = 16;
-/// Gaussians to begin with.
+/// Initial capacity, in gaussians.
 const FIRST_GAUSSIANS: usize = 1 << 14;
 
-/// Names and bytes of an entry.
+/// Buffer names, with the bytes of one entry.
 type Group = &'static [(&'static str, usize)];
 
 const VEC4: usize = 16;
 const WORD: usize = 4;
 
-/// By gaussian, to be kept.
+/// Per gaussian, persistent.
 const KEPT: Group = &[
     ("gaussians", size_of::<Gaussian>()),
     ("first_moments", 4 * VEC4),
     ("second_moments", 4 * VEC4),
     ("anchors", WORD),
 ];
-/// By gaussian or splat, of one pass.
+/// Per gaussian or splat, scratch of one pass.
 const PER_GAUSSIAN: Group = &[
     ("splats", size_of::<Splat>()),
     ("gradients", size_of::<Gradient>()),
@@ -45,9 +45,9 @@ const PER_GAUSSIAN: Group = &[
     ("order_sorted", WORD),
     ("touches", 2 * WORD),
 ];
-/// By workgroup that goes over gaussians or splats.
+/// Per workgroup of a stage that runs over gaussians or splats.
 const PER_GROUP: Group = &[("block_sums", WORD), ("regularizer_sums", WORD)];
-/// By entry of the tiles' lists.
+/// Per entry of the tile lists.
 const PER_ENTRY: Group = &[
     ("tile_keys", WORD),
     ("tile_keys_sorted", WORD),
@@ -64,18 +64,18 @@ const PER_PIXEL: Group = &[
     ("moments", 9 * WORD),
 ];
 
-/// What shaders call the measured image of the view that they work for.
+/// The shaders' name for the measured image of the current view.
 const MEASURED: &str = "measured";
 
-/// The passes of the two sorts, each with a uniform of its own.
+/// The passes of the two radix sorts; each has its own uniform.
 pub const DEPTH_PASSES: [&str; 4] = ["depth_0", "depth_1", "depth_2", "depth_3"];
 pub const TILE_PASSES: [&str; 4] = ["tile_0", "tile_1", "tile_2", "tile_3"];
 
-/// Buffers by name, and the stages' bindings to them.
+/// Buffers by name, and the cached bind groups.
 pub struct Buffers {
     device: GpuDevice,
     table: BTreeMap<&'static str, wgpu::Buffer>,
-    /// Measured images, by the set of their view. To shaders each is `measured`.
+    /// Measured images by their view's set; each is bound as `measured`.
     targets: BTreeMap<u32, wgpu::Buffer>,
     bound: BTreeMap<(&'static str, usize), wgpu::BindGroup>,
     gaussians: usize,
@@ -87,10 +87,10 @@ pub struct Buffers {
 }
 
 impl Buffers {
-    /// With room for that many entries of the tiles' lists.
+    /// With capacity for that many entries of the tile lists.
     ///
     /// # Errors
-    /// If the device's memory does not suffice.
+    /// If the device is out of memory.
     pub fn new(device: &GpuDevice, entries: usize) -> Result<Self, GpuError> {
         let mut buffers = Self {
             device: device.clone(),
@@ -142,18 +142,18 @@ impl Buffers {
         Ok(buffers)
     }
 
-    /// Entries that the tiles' lists have room for.
+    /// Capacity of the tile lists, entries.
     pub fn entries(&self) -> usize {
         self.entries
     }
 
-    /// Counts on so much room only.
+    /// Pretends that the capacity is smaller.
     #[cfg(test)]
     pub fn shrink_entries(&mut self, entries: usize) {
         self.entries = self.entries.min(entries);
     }
 
-    /// Sets that there is room for.
+    /// Capacity, visibility sets.
     pub fn sets(&self) -> usize {
         self.sets
     }
@@ -163,24 +163,24 @@ impl Buffers {
         self.gaussians / 32
     }
 
-    /// All bytes.
+    /// Total size, bytes.
     pub fn bytes(&self) -> u64 {
         let own: u64 = self.table.values().map(wgpu::Buffer::size).sum();
         own + self.target_bytes()
     }
 
-    /// Bytes of the measured images.
+    /// Size of the measured images, bytes.
     pub fn target_bytes(&self) -> u64 {
         self.targets.values().map(wgpu::Buffer::size).sum()
     }
 
-    /// Keeps the measured image of the view that has this set.
+    /// Stores the measured image of the view with this set.
     pub fn set_target(&mut self, set: u32, buffer: wgpu::Buffer) {
         self.remove_target(set);
         self.targets.insert(set, buffer);
     }
 
-    /// Gives the memory of a measured image back.
+    /// Frees a measured image.
     pub fn remove_target(&mut self, set: u32) {
         self.targets.remove(&set);
         let device = &self.device;
@@ -189,7 +189,7 @@ impl Buffers {
         });
     }
 
-    /// The measured images and all bindings there are.
+    /// The measured images and the cached bind groups.
     #[cfg(test)]
     pub fn resident(&self) -> (Vec<wgpu::Buffer>, Vec<wgpu::BindGroup>) {
         let targets = self.targets.values().cloned().collect();
@@ -202,13 +202,14 @@ impl Buffers {
         found.ok_or_else(|| GpuError::Other(format!("there is no buffer {name}")))
     }
 
-    /// Puts a buffer in place of another.
+    /// Replaces a buffer.
     pub fn set(&mut self, name: &'static str, buffer: wgpu::Buffer) {
         self.table.insert(name, buffer);
         self.bound.clear();
     }
 
-    /// Puts a buffer in place of another that stages know by no other name.
+    /// As [`Buffers::set`], for a buffer that is never bound under an alias: only the bind groups that
+    /// use it are dropped.
     pub fn replace(&mut self, name: &'static str, buffer: wgpu::Buffer) {
         self.table.insert(name, buffer);
         let device = &self.device;
@@ -216,13 +217,13 @@ impl Buffers {
             .retain(|(stage, _), _| device.stage(stage).is_ok_and(|stage| !stage.uses(name)));
     }
 
-    /// Gives a buffer's memory back.
+    /// Frees a buffer.
     pub fn remove(&mut self, name: &'static str) {
         self.table.remove(name);
         self.bound.clear();
     }
 
-    /// Exchanges two buffers.
+    /// Swaps two buffers.
     pub fn swap(&mut self, a: &'static str, b: &'static str) {
         if let (Some(old_a), Some(old_b)) = (self.table.remove(a), self.table.remove(b)) {
             self.table.insert(a, old_b);
@@ -231,9 +232,9 @@ impl Buffers {
         self.bound.clear();
     }
 
-    /// A stage's bindings. Names of the shader that are no buffer's are looked up in `aliases`
-    /// first; `variant` tells apart what one stage is bound to with different ones. To a stage that
-    /// compares with a measured image it is the set of the image's view.
+    /// A stage's bind group, created once and cached. `aliases` maps names in the shader to names of
+    /// buffers; `variant` distinguishes the bind groups of a stage that is used with several sets of
+    /// aliases. For a stage that reads the measured image it is the set of the image's view.
     pub fn bind(
         &mut self,
         stage: &'static str,
@@ -258,10 +259,10 @@ impl Buffers {
         Ok(&self.bound[&key])
     }
 
-    /// Room for that many gaussians, of which the first `used` are kept.
+    /// Makes room for that many gaussians; the first `used` are preserved.
     ///
     /// # Errors
-    /// If the device's memory does not suffice; then nothing has changed.
+    /// If the device is out of memory; then nothing has changed.
     pub fn make_room_for_gaussians(&mut self, count: usize, used: usize) -> Result<(), GpuError> {
         if count <= self.gaussians {
             return Ok(());
@@ -294,10 +295,10 @@ impl Buffers {
         Ok(())
     }
 
-    /// Room for that many entries of the tiles' lists.
+    /// Makes room for that many entries of the tile lists.
     ///
     /// # Errors
-    /// If the device's memory does not suffice; then nothing has changed.
+    /// If the device is out of memory; then nothing has changed.
     pub fn make_room_for_entries(&mut self, count: usize) -> Result<(), GpuError> {
         if count <= self.entries {
             return Ok(());
@@ -311,10 +312,10 @@ impl Buffers {
         Ok(())
     }
 
-    /// Room for images of that size.
+    /// Makes room for images of that size.
     ///
     /// # Errors
-    /// If the device's memory does not suffice.
+    /// If the device is out of memory.
     pub fn make_room_for_image(&mut self, width: usize, height: usize) -> Result<(), GpuError> {
         let cells = |side: u32| width.div_ceil(side as usize) * height.div_ceil(side as usize);
         let (pixels, tiles, loss_groups) = (width * height, cells(TILE), cells(LOSS_SIDE));
@@ -337,15 +338,15 @@ impl Buffers {
         Ok(())
     }
 
-    /// Room for twice as many sets.
+    /// Doubles the number of sets.
     ///
     /// # Errors
-    /// If the device's memory does not suffice.
+    /// If the device is out of memory.
     pub fn double_sets(&mut self) -> Result<(), GpuError> {
         self.make_sets(2 * self.sets, self.sets)
     }
 
-    /// Sets in the layout of those there are, all empty.
+    /// Empty sets in the same layout as the present ones.
     pub fn empty_sets(&self) -> Result<wgpu::Buffer, GpuError> {
         self.new_sets(self.sets, self.set_words())
     }
@@ -370,7 +371,7 @@ impl Buffers {
             .buffer("sets of visible gaussians", bytes, BufferUsages::STORAGE)
     }
 
-    /// For sorting so many keys.
+    /// Digit counts for sorting so many keys.
     fn make_digit_counts(
         &self,
         keys: usize,
@@ -380,11 +381,11 @@ impl Buffers {
         self.make_all(per_block.iter(), blocks)
     }
 
-    /// Half as much again as there was, if the device binds so much, and no less than needed: whole
-    /// workgroups of `group` items of so many bytes.
+    /// The capacity to grow to: one and a half times the present one if the device can bind that
+    /// much, at least `needed`, and a whole number of workgroups of `group` items of `bytes` bytes.
     ///
     /// # Errors
-    /// If more workgroups are needed than the device dispatches.
+    /// If that takes more workgroups than the device can dispatch.
     fn grown(
         &self,
         bytes: usize,

@@ -1,4 +1,4 @@
-//! A graphics device: which one is taken, whether it suffices, and what it reports when it fails.
+//! A graphics device: selection, minimum requirements, buffers, and errors that it reports.
 
 use std::path::Path;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -11,17 +11,17 @@ use super::scan_check::scans_in_order;
 use super::stage::{Stage, StageOptions};
 use crate::GpuError;
 
-/// Storage buffers that the stage with most of them binds.
+/// The most storage buffers that a stage binds.
 pub(super) const STORAGE_BUFFERS: u32 = 8;
-/// Bytes of memory that a workgroup shares.
+/// The most workgroup memory that a stage uses, bytes.
 pub(super) const WORKGROUP_BYTES: u32 = 16 << 10;
-/// Threads of a workgroup.
+/// The largest workgroup, threads.
 pub(super) const WORKGROUP_THREADS: u32 = super::layout::GROUP;
-/// Bytes of a buffer that a stage can see: two million gaussians or entries of the tiles' lists, as
-/// much as every implementation of WebGPU offers.
+/// Minimum size of a storage binding, bytes: two million gaussians or entries of the tile lists, and
+/// what every WebGPU implementation guarantees.
 const BINDING_BYTES: u64 = 128 << 20;
 
-/// A device that computes, with everything compiled for it. Clones share it.
+/// A compute device with its compiled pipelines. Clones share it.
 #[derive(Clone)]
 pub struct GpuDevice {
     shared: Arc<Shared>,
@@ -35,7 +35,7 @@ struct Shared {
     queue: wgpu::Queue,
     stages: Vec<Stage>,
     binding_limit: u64,
-    /// What went wrong, if anything did.
+    /// The first error that the device reported.
     failure: Arc<Mutex<Option<GpuError>>>,
 }
 
@@ -46,15 +46,14 @@ impl std::fmt::Debug for GpuDevice {
 }
 
 impl GpuDevice {
-    /// The fastest kind of device there is, by Vulkan, Metal or DirectX 12; one in software, which
-    /// is slower than the CPU's own path, only if that is accepted.
+    /// Opens the fastest kind of device present, through Vulkan, Metal or DirectX 12. A software
+    /// device, which is slower than [`crate::CpuModel`], is used only if `accept_software`.
     ///
-    /// Compiled pipelines are kept in `pipeline_cache` from one run to the next, where there is such
-    /// a folder and the driver allows it. The driver trusts what lies there: it must be a folder
-    /// that only the user can write to.
+    /// Compiled pipelines are cached in the folder `pipeline_cache`, if one is given and the driver
+    /// supports it. The driver trusts the cached files, so only the user may have write access.
     ///
     /// # Errors
-    /// If there is none, or it is below what is needed.
+    /// If there is none, or it does not meet the requirements.
     pub fn find(accept_software: bool, pipeline_cache: Option<&Path>) -> Result<Self, GpuError> {
         Self::open(accept_software, pipeline_cache, |features| StageOptions {
             by_subgroups: features.contains(wgpu::Features::SUBGROUP),
@@ -62,7 +61,7 @@ impl GpuDevice {
         })
     }
 
-    /// As [`GpuDevice::find`], with a say in how its stages are made.
+    /// As [`GpuDevice::find`], with control over how stages are compiled.
     pub(super) fn open(
         accept_software: bool,
         pipeline_cache: Option<&Path>,
@@ -70,7 +69,7 @@ impl GpuDevice {
     ) -> Result<Self, GpuError> {
         let instance = wgpu::Instance::new(wgpu::InstanceDescriptor {
             backends: wgpu::Backends::VULKAN | wgpu::Backends::METAL | wgpu::Backends::DX12,
-            // Validation of dispatches would be a dispatch of its own before each.
+            // Validating an indirect dispatch costs an extra dispatch before each.
             flags: if cfg!(test) {
                 wgpu::InstanceFlags::debugging()
             } else {
@@ -81,7 +80,7 @@ impl GpuDevice {
         let mut adapters = pollster::block_on(instance.enumerate_adapters(wgpu::Backends::all()));
         let any = !adapters.is_empty();
         adapters.retain(|adapter| accept_software || !is_software(&adapter.get_info()));
-        // Stable: among equals the one that the system names first.
+        // Stable: among equals, the order in which the system lists them.
         adapters.sort_by_key(|adapter| match adapter.get_info().device_type {
             wgpu::DeviceType::DiscreteGpu => 0,
             wgpu::DeviceType::IntegratedGpu => 1,
@@ -94,7 +93,7 @@ impl GpuDevice {
         for (place, adapter) in adapters.iter().enumerate() {
             match Self::of_adapter(adapter, pipeline_cache, &options) {
                 Ok(device) => return Ok(device),
-                // Of several the fastest one's reason counts.
+                // If all fail, report why the fastest one did.
                 Err(error) if place == 0 => refusal = error,
                 Err(_) => {}
             }
@@ -138,13 +137,13 @@ impl GpuDevice {
         let binding_limit = limits
             .max_storage_buffer_binding_size
             .min(limits.max_buffer_size);
-        let make = |options| {
+        let make = |options, caveats| {
             let stages = Stage::make_all(&device, options, pipelines.as_ref());
             let opened = Self {
                 shared: Arc::new(Shared {
                     name: name.clone(),
                     in_software: is_software(&info),
-                    caveats: caveats(&info, features),
+                    caveats,
                     device: device.clone(),
                     queue: queue.clone(),
                     stages: stages.map_err(GpuError::Other)?,
@@ -156,12 +155,15 @@ impl GpuDevice {
             Ok(opened)
         };
         let options = options(features);
-        let mut opened = make(options)?;
+        let mut caveats = caveats(&info, features);
+        let mut opened = make(options, caveats.clone())?;
         if options.by_subgroups && !scans_in_order(&device, &queue, opened.stage("check_scan")?)? {
-            opened = make(StageOptions {
+            caveats.push("subgroup operations disabled: they gave wrong prefix sums");
+            let options = StageOptions {
                 by_subgroups: false,
                 ..options
-            })?;
+            };
+            opened = make(options, caveats)?;
         }
         if let (Some(cache), Some(pipelines)) = (&cache, &pipelines) {
             cache.save(pipelines);
@@ -169,17 +171,17 @@ impl GpuDevice {
         Ok(opened)
     }
 
-    /// Its name and how it is reached, such as "NVIDIA H200 (vulkan)".
+    /// Its name and API, such as "NVIDIA H200 (vulkan)".
     pub fn name(&self) -> &str {
         &self.shared.name
     }
 
-    /// Whether it is a device in software, which is slower than the CPU's own path.
+    /// Whether it is a software device, which is slower than [`crate::CpuModel`].
     pub fn is_software(&self) -> bool {
         self.shared.in_software
     }
 
-    /// What slows it down that its owner may want to change, in words for the reader.
+    /// Known causes of low speed that the user may be able to remove, as phrases to print.
     pub fn caveats(&self) -> &[&'static str] {
         &self.shared.caveats
     }
@@ -192,28 +194,28 @@ impl GpuDevice {
         &self.shared.queue
     }
 
-    /// The most bytes of a buffer that stages can use.
+    /// The largest buffer that a stage can bind, bytes.
     pub(super) fn binding_limit(&self) -> u64 {
         self.shared.binding_limit
     }
 
-    /// For commands to come.
+    /// A new command encoder.
     pub(super) fn encoder(&self) -> wgpu::CommandEncoder {
         self.raw().create_command_encoder(&Default::default())
     }
 
-    /// The stage of that entry point.
+    /// The stage with that entry point.
     pub(super) fn stage(&self, name: &str) -> Result<&Stage, GpuError> {
         let found = self.shared.stages.iter().find(|stage| stage.name == name);
         found.ok_or_else(|| GpuError::Other(format!("there is no stage {name}")))
     }
 
-    /// Whether anything has failed so far.
+    /// The error that the device has reported, if any.
     pub(super) fn check(&self) -> Result<(), GpuError> {
         let Some(error) = self.failure() else {
             return Ok(());
         };
-        // A device that is gone complains of what it is still asked for before it says so.
+        // A lost device first reports errors of the calls made since, then the loss.
         let _ = self.raw().poll(wgpu::PollType::wait_indefinitely());
         Err(self.failure().unwrap_or(error))
     }
@@ -223,7 +225,7 @@ impl GpuDevice {
         failure.unwrap_or_else(PoisonError::into_inner).clone()
     }
 
-    /// A buffer of zeros. `what` names its contents.
+    /// A zero-initialised buffer. `what` describes its contents, in the plural.
     pub(super) fn buffer(
         &self,
         what: &'static str,
@@ -240,7 +242,7 @@ impl GpuDevice {
         }
         let usage = usage
             | match usage {
-                // What the host can read cannot be copied elsewhere.
+                // A mappable buffer cannot be the source of a copy.
                 wgpu::BufferUsages::MAP_READ => wgpu::BufferUsages::COPY_DST,
                 _ => wgpu::BufferUsages::COPY_SRC | wgpu::BufferUsages::COPY_DST,
             };
@@ -257,7 +259,7 @@ impl GpuDevice {
         }
     }
 
-    /// A storage buffer that holds the entries.
+    /// A storage buffer with the given contents.
     pub(super) fn buffer_of<T: Pod>(&self, what: &'static str, entries: &[T]) -> wgpu::Buffer {
         self.raw()
             .create_buffer_init(&wgpu::util::BufferInitDescriptor {
@@ -268,8 +270,8 @@ impl GpuDevice {
     }
 }
 
-/// Keeps the first failure, what follows being mostly its consequence, but for the device's loss,
-/// which explains all others.
+/// Keeps the first error, since later ones are mostly its consequences, except that the loss of the
+/// device explains all others.
 fn note(kept: &Mutex<Option<GpuError>>, error: GpuError) {
     let mut kept = kept.lock().unwrap_or_else(PoisonError::into_inner);
     let explains = matches!(error, GpuError::Lost(_)) && !matches!(*kept, Some(GpuError::Lost(_)));
@@ -292,11 +294,11 @@ fn is_software(info: &wgpu::AdapterInfo) -> bool {
 fn caveats(info: &wgpu::AdapterInfo, features: wgpu::Features) -> Vec<&'static str> {
     let mut caveats = Vec::new();
     if is_software(info) {
-        caveats.push("in software, slower than the CPU's own path");
+        caveats.push("a software device, slower than the CPU backend");
     }
-    // FXC knows no shader model with subgroup operations, and DXC none without.
+    // FXC stops at shader model 5.1, without subgroup operations; DXC starts at 6.0, with them.
     if info.backend == wgpu::Backend::Dx12 && !features.contains(wgpu::Features::SUBGROUP) {
-        caveats.push("shaders compiled by FXC, for want of dxcompiler.dll");
+        caveats.push("shaders compiled by FXC, since dxcompiler.dll was not found");
     }
     caveats
 }

@@ -1,8 +1,8 @@
-//! The map on the device: gaussians with their anchors and Adam's moments, and what changes them all:
-//! insertion, rigid motions and pruning. Steps are `work_queue`'s.
+//! The map on the device: gaussians with their anchors and Adam's moments, and the operations on all of
+//! them: insertion, rigid motion and pruning. Steps are submitted by `work_queue`.
 //!
-//! A call that submits work behind steps in flight changes nothing if one of those turns out void;
-//! the queue repeats it then.
+//! Motions and prunings submitted behind a step that turns out void are void too, and the queue
+//! submits them again.
 
 use fgs_geom::KeyframeId;
 
@@ -26,7 +26,7 @@ pub struct DeviceMap {
     count: usize,
 }
 
-/// A pruning whose result is on its way to the host.
+/// A submitted pruning.
 pub struct Pruning {
     /// The counts, then the names of removed gaussians.
     removed: Arrival,
@@ -35,10 +35,10 @@ pub struct Pruning {
 }
 
 impl DeviceMap {
-    /// An empty map, with room for so many entries of the tiles' lists at first.
+    /// An empty map, with room for so many entries of the tile lists at first.
     ///
     /// # Errors
-    /// If the device's memory does not suffice.
+    /// If the device is out of memory.
     pub fn new(
         device: GpuDevice,
         settings: &ModelSettings,
@@ -73,7 +73,7 @@ impl DeviceMap {
         &self.device
     }
 
-    /// Number of gaussians, those included that are pruned but not known to be.
+    /// Number of gaussians, including those pruned by work still in flight.
     pub fn len(&self) -> usize {
         self.count
     }
@@ -88,7 +88,7 @@ impl DeviceMap {
         Ok(())
     }
 
-    /// For commands on the map's buffers.
+    /// Starts recording commands on the map's buffers.
     pub fn recorder<'a>(&'a mut self, timer: Option<&'a mut StageTimer>) -> Recorder<'a> {
         Recorder::new(&self.device, &mut self.buffers, timer)
     }
@@ -96,7 +96,7 @@ impl DeviceMap {
     /// Adds gaussians whose arrays have one length. Nothing may be in flight.
     ///
     /// # Errors
-    /// If the device fails or its memory does not suffice.
+    /// If the device fails or is out of memory.
     pub fn insert(&mut self, seeds: &Seeds, anchor: KeyframeId) -> Result<(), GpuError> {
         let added = seeds.sparse_ids.len();
         let count = self.count + added;
@@ -119,7 +119,7 @@ impl DeviceMap {
         self.device.check()
     }
 
-    /// Submits motions, by ascending anchor.
+    /// Submits motions, sorted by anchor.
     ///
     /// # Errors
     /// If the device fails.
@@ -134,11 +134,11 @@ impl DeviceMap {
         Ok(())
     }
 
-    /// Submits a pruning. The gaussians that stay move together at the front; the others remain
-    /// behind them, never drawn, until [`DeviceMap::finish_pruning`].
+    /// Submits a pruning. Survivors are compacted to the front; the others stay behind them, never
+    /// drawn, until [`DeviceMap::finish_pruning`] learns how many there are.
     ///
     /// # Errors
-    /// If the device fails or its memory does not suffice.
+    /// If the device fails or is out of memory.
     pub fn prune(&mut self, rule: &PruneRule) -> Result<Pruning, GpuError> {
         self.device.check()?;
         let rule = layout::Prune {
@@ -149,7 +149,7 @@ impl DeviceMap {
             max_log_aspect: rule.max_aspect.ln(),
         };
         self.write("rule", bytemuck::bytes_of(&rule))?;
-        self.sort_out()?;
+        self.compact()?;
 
         let id_bytes = 4 * self.count as u64;
         let count_bytes = 4 * Count::ALL.len() as u64;
@@ -172,8 +172,8 @@ impl DeviceMap {
         })
     }
 
-    /// Waits for a pruning that took effect and lets go of what it removed. Returns the names of
-    /// those that were of the sparse map, and all gaussians that are left.
+    /// Waits for a pruning that took effect and drops what it removed. Returns the names of removed
+    /// gaussians of the sparse map, and all remaining gaussians.
     ///
     /// # Errors
     /// If the device fails.
@@ -197,7 +197,7 @@ impl DeviceMap {
         ))
     }
 
-    /// Waits for a pruning that was void.
+    /// Waits for a void pruning.
     ///
     /// # Errors
     /// If the device fails.
@@ -207,8 +207,8 @@ impl DeviceMap {
         Ok(())
     }
 
-    /// Moves the gaussians that survive to the front, in their order, and all that belongs to them.
-    fn sort_out(&mut self) -> Result<(), GpuError> {
+    /// Stable compaction of the survivors and all of their state.
+    fn compact(&mut self) -> Result<(), GpuError> {
         const NEW_PLACES: (&str, &str) = ("new_from_old", "depth_keys");
         let by_gaussian = groups(self.count);
         let by_word = Groups::Fixed(
@@ -254,7 +254,7 @@ impl DeviceMap {
         Ok(from_device(&rows))
     }
 
-    /// Lets passes change things again after one for which there was no room.
+    /// Clears the overflow and range flags, which make all later work void.
     ///
     /// # Errors
     /// If the device fails.
@@ -262,10 +262,10 @@ impl DeviceMap {
         self.write("counts", &[0; 4 * Count::ALL.len()])
     }
 
-    /// Room for that many entries of the tiles' lists, and for some more.
+    /// Makes room for that many entries of the tile lists, and a quarter more.
     ///
     /// # Errors
-    /// If the device's memory does not suffice.
+    /// If the device is out of memory.
     pub fn make_room_for_entries(&mut self, entries: u32) -> Result<(), GpuError> {
         let entries = entries as usize;
         self.buffers.make_room_for_entries(entries + entries / 4)

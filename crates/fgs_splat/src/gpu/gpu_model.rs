@@ -1,5 +1,5 @@
-//! The model on a graphics device: the calls of [`GaussianModel`], put together from the map, its
-//! views and the queue of work.
+//! The model on a graphics device: implements [`GaussianModel`] with the device's map, its views and the
+//! work queue.
 
 use fgs_geom::{Image, KeyframeId, Se3, View};
 
@@ -21,7 +21,7 @@ use crate::model::{
 use crate::rigid_motion::by_keyframe;
 use crate::{Gaussians, Rendered, Target};
 
-/// Entries of the tiles' lists that there is room for at first.
+/// Initial capacity of the tile lists, entries.
 const FIRST_ENTRIES: usize = 1 << 18;
 
 /// A [`GaussianModel`] on a graphics device.
@@ -29,14 +29,14 @@ pub struct GpuModel {
     pub(super) work: WorkQueue,
 }
 
-/// A step's stages and how much there was for them to do.
+/// A step's stages with their times, and the amount of work.
 #[derive(Clone, Debug, PartialEq)]
 pub struct TimedStep {
     /// In their order, each with the milliseconds that it took by the device's clock.
     pub stages: Vec<(&'static str, f64)>,
     /// Gaussians in view.
     pub in_view: usize,
-    /// Entries of the tiles' lists: how many times a gaussian meets a tile of 8x8 pixels.
+    /// Entries of the tile lists: how many times a gaussian meets a tile of 8x8 pixels.
     pub entries: usize,
     /// Entries of the longest list.
     pub longest_list: usize,
@@ -45,19 +45,19 @@ pub struct TimedStep {
 }
 
 impl GpuModel {
-    /// An empty map. Measured images of views stay on the device up to the size of the largest
-    /// buffer that it allows, but no more than 1.5 GiB; beyond that, and where memory runs out, those
-    /// used last do.
+    /// An empty map. The views' measured images are kept on the device within a budget: the largest
+    /// buffer that the device allows, at most 1.5 GiB. Beyond it, or when memory runs out, the least
+    /// recently used ones are evicted.
     ///
     /// # Errors
-    /// If the device's memory does not suffice.
+    /// If the device is out of memory.
     pub fn new(device: GpuDevice, settings: &ModelSettings) -> Result<Self, GpuError> {
         let target_bytes = budget(&device);
         Self::with_room(device, settings, target_bytes, FIRST_ENTRIES)
     }
 
     /// As [`GpuModel::new`], with so many bytes of measured images on the device, and room for that
-    /// many entries of the tiles' lists at first.
+    /// many entries of the tile lists at first.
     pub(super) fn with_room(
         device: GpuDevice,
         settings: &ModelSettings,
@@ -71,7 +71,7 @@ impl GpuModel {
         })
     }
 
-    /// How many steps found no room and were repeated.
+    /// How many steps overflowed the tile lists and were repeated.
     pub fn repeated_steps(&self) -> usize {
         self.work.repeated_steps()
     }
@@ -106,7 +106,7 @@ impl GpuModel {
         }
     }
 
-    /// What the last step had to do, with its times.
+    /// The last step's work, with its times.
     fn timed(&self, stages: Vec<(&'static str, f64)>, view: &View) -> Result<TimedStep, GpuError> {
         let map = &self.work.map;
         let fetch = |name, len| read(map.device(), map.buffers.get(name)?, 0, len);
@@ -233,7 +233,7 @@ impl GaussianModel for GpuModel {
     }
 
     fn into_gaussians(mut self: Box<Self>) -> Gaussians {
-        // What a step has found wrong is no reason to lose what the others did.
+        // An error of one step is no reason to lose the rest.
         let _ = self.work.finish();
         match self.work.map.gaussians() {
             Ok(gaussians) => gaussians,

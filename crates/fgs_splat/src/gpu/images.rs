@@ -1,4 +1,4 @@
-//! Passes that are no steps: images of the map for the host, and what a view shows.
+//! Rendering for the host: whole images, or a bit a pixel.
 
 use bytemuck::pod_collect_to_vec;
 use fgs_geom::{Image, View};
@@ -11,11 +11,11 @@ use super::recorder::Recorder;
 use crate::GpuError;
 use crate::Rendered;
 
-/// Renders a view, then runs what `after` records, again if there was no room for the tiles' lists.
-/// Nothing may be in flight. Returns the counts of the pass and the first bytes of some buffers.
+/// Renders a view, then runs what `after` records; repeats both if the tile lists overflow. Nothing may
+/// be in flight. Returns the counts of the pass and the leading bytes of the given buffers.
 ///
 /// # Errors
-/// If the device fails or its memory does not suffice.
+/// If the device fails or is out of memory.
 pub fn run<const N: usize>(
     map: &mut DeviceMap,
     view: &layout::View,
@@ -50,7 +50,7 @@ pub fn run<const N: usize>(
 /// Colour, depth and alpha as seen from a view.
 ///
 /// # Errors
-/// If the device fails or its memory does not suffice.
+/// If the device fails or is out of memory.
 pub fn render(map: &mut DeviceMap, view: &View) -> Result<Rendered, GpuError> {
     let (width, height) = (view.camera.width, view.camera.height);
     map.buffers.make_room_for_image(width, height)?;
@@ -77,10 +77,10 @@ pub fn render(map: &mut DeviceMap, view: &View) -> Result<Rendered, GpuError> {
     Ok(rendered)
 }
 
-/// The pixels of a view where alpha is below a limit. One bit of each is read back.
+/// The pixels of a view whose alpha is below a limit. Reads back one bit per pixel.
 ///
 /// # Errors
-/// If the device fails or its memory does not suffice.
+/// If the device fails or is out of memory.
 pub fn see_through(
     map: &mut DeviceMap,
     view: &View,

@@ -1,6 +1,6 @@
-//! What Rust and the shaders must agree on: constants, the layout of structures, and the places in
-//! small arrays. Each is written once, here or where the CPU has it, and the shaders' text is made
-//! from it; a test asks the shader compiler for its offsets and compares.
+//! What Rust and the shaders must agree on: constants, struct layouts, and indices into small arrays.
+//! Each is defined once, here or in the CPU's code, and the shaders' preamble is generated from it; a
+//! test compares the offsets with those of the shader compiler.
 
 use std::fmt::Write;
 
@@ -15,23 +15,23 @@ use crate::rendering::{
     PLANE_MIN_COS, TRANSMITTANCE_MIN,
 };
 
-/// Threads of a workgroup that goes over gaussians, keys or the loss's pixels.
+/// Threads of a workgroup over gaussians, keys or pixels of the loss.
 pub const GROUP: u32 = 256;
 /// Keys that one workgroup sorts.
 pub const SORT_BLOCK: u32 = 2048;
-/// Pixels along a side of a tile: a gaussian is a few pixels wide, and what it does not cover of
-/// its tiles is wasted.
+/// Side of a tile, pixels. Small, since most gaussians are a few pixels wide and every pixel of a
+/// tile evaluates all of the tile's gaussians.
 pub const TILE: u32 = 8;
-/// Pixels of a side of the loss's workgroups.
+/// Side of the loss's workgroups, pixels.
 pub const LOSS_SIDE: u32 = 16;
-/// Rows of 16 bytes that a thread copies to measure memory.
+/// Rows of 16 bytes that a thread copies when bandwidth is measured.
 pub const COPIED_ROWS: u32 = 4;
-/// Rounds of 32 multiply-adds each to measure arithmetic.
+/// Rounds of 32 multiply-adds when arithmetic throughput is measured.
 pub const MULTIPLY_ADD_ROUNDS: u32 = 256;
 /// No gaussian, no set, no name.
 pub const NONE: u32 = u32::MAX;
 
-/// A type that a structure may have fields of.
+/// A type that struct fields may have.
 trait DeviceType {
     const WGSL: &'static str;
 }
@@ -88,9 +88,9 @@ macro_rules! device_structs {
 }
 
 device_structs! {
-    /// A view and what is worked on for it.
+    /// A view and the sizes of what is rendered for it.
     struct View {
-        /// Rows of the rotation `camera_from_world`, each followed by something else.
+        /// Rows of the rotation `camera_from_world`, each padded by a scalar.
         row_x: [f32; 3],
         /// Pixels.
         width: u32,
@@ -101,7 +101,7 @@ device_structs! {
         count: u32,
         /// The camera in the world, metres.
         position: [f32; 3],
-        /// How many entries the tiles' lists have room for.
+        /// Capacity of the tile lists, entries.
         capacity: u32,
         /// Pixels.
         focal: [f32; 2],
@@ -121,13 +121,13 @@ device_structs! {
         padding_1: [f32; 2],
     }
 
-    /// A gaussian's parameters as they are stored, its steps and its name in the sparse map.
+    /// A gaussian's stored parameters, its step count and its name in the sparse map.
     struct Gaussian {
         mean: [f32; 3],
         opacity_logit: f32,
         quat: [f32; 4],
         log_scales: [f32; 3],
-        /// Steps that Adam has made with it.
+        /// Adam steps taken.
         steps: u32,
         sh: [f32; 3],
         /// `NONE` if it is not part of the sparse map.
@@ -140,13 +140,13 @@ device_structs! {
         opacity_logit: f32,
         quat: [f32; 4],
         log_scales: [f32; 3],
-        /// 1 if the gaussian contributed to a pixel; if 0 the rest means nothing.
+        /// 1 if the gaussian contributed to a pixel; otherwise the rest is undefined.
         touched: u32,
         sh: [f32; 3],
         padding: u32,
     }
 
-    /// A gaussian as the blending sees it: see `cpu::project::Splat`.
+    /// A projected gaussian; see `cpu::project::Splat`.
     struct Splat {
         mean2d: [f32; 2],
         whiten_xx: f32,
@@ -161,23 +161,23 @@ device_structs! {
         padding_1: u32,
     }
 
-    /// What the backward pass needs to know of a pixel.
+    /// A pixel's state for the backward pass.
     struct PixelState {
-        /// After the last gaussian.
+        /// Behind the last gaussian.
         transmittance: f32,
-        /// How many entries of the tile's list precede or are the last that contributed.
+        /// How many entries of the tile's list there are up to and including the last that contributed.
         used: u32,
     }
 
-    /// Keys to be sorted.
+    /// One pass of a radix sort.
     struct SortPass {
         /// The digit's lowest bit.
         shift: u32,
-        /// Which of the counts is theirs.
+        /// Index of the number of keys in the counts.
         count: u32,
     }
 
-    /// Weights of the loss, each divided by the number of values that its mean is over.
+    /// Weights of the loss terms, each divided by the number of values averaged.
     struct Loss {
         l1: f32,
         ssim: f32,
@@ -203,14 +203,14 @@ device_structs! {
         scale_weight: f32,
     }
 
-    /// Which gaussians stay.
+    /// The pruning rule; see `PruneRule`.
     struct Prune {
         /// Number of gaussians.
         count: u32,
         /// Words of each set of gaussians.
         set_words: u32,
         min_opacity: f32,
-        /// Of metres.
+        /// Logarithm of metres.
         max_log_scale: f32,
         /// Logarithm of the ratio of the two longer axes.
         max_log_aspect: f32,
@@ -232,18 +232,18 @@ device_structs! {
         quat: [f32; 4],
     }
 
-    /// Which pixels are seen through.
+    /// The rule of `see_through`.
     struct SeeThrough {
-        /// Those of a lower alpha.
+        /// Pixels with a lower alpha are seen through.
         min_alpha: f32,
         /// Number of pixels.
         pixels: u32,
     }
 
-    /// Sets of gaussians to be compared.
+    /// A view's set, to be compared with all others.
     struct Covisibility {
         own_set: u32,
-        /// Words of each set, and how many of them any gaussian is in.
+        /// Words of each set, and how many of them are in use.
         set_words: u32,
         used_words: u32,
     }
@@ -257,14 +257,14 @@ macro_rules! places {
         pub enum $kind { $($name,)* }
 
         impl $kind {
-            /// All places, in their order.
+            /// All of them, in order.
             pub const ALL: &[(Self, &'static str)] = &[$((Self::$name, stringify!($name))),*];
         }
     };
 }
 
 places! {
-    /// Places in the counts of a step.
+    /// Indices into the counts of a step.
     Count {
         VISIBLE,
         ENTRIES,
@@ -279,7 +279,7 @@ places! {
 }
 
 places! {
-    /// Dispatches whose size lies on the device, three numbers each.
+    /// Indirect dispatches, three words each.
     Dispatch {
         PER_VISIBLE,
         SORT_VISIBLE,
@@ -287,10 +287,10 @@ places! {
     }
 }
 
-/// Numbers of a dispatch's size.
+/// Words of an indirect dispatch.
 pub const DISPATCH_WORDS: u32 = 3;
 
-/// What every shader starts with.
+/// The preamble of every shader.
 pub fn preamble() -> String {
     let mut source = String::new();
     for (name, value) in [

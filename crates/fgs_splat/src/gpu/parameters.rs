@@ -1,5 +1,4 @@
-//! Gaussians as the host keeps them, arrays of each parameter, and as the device does, one after
-//! the other.
+//! Conversion between the host's structure of arrays and the device's array of structures.
 
 use std::collections::BTreeMap;
 
@@ -9,7 +8,7 @@ use super::layout::{Gaussian, Motion, NONE};
 use crate::rigid_motion::RigidMotion;
 use crate::{Gaussians, Seeds};
 
-/// New gaussians, none of which has made a step.
+/// New gaussians, with a step count of zero.
 pub fn to_device(seeds: &Seeds) -> Vec<Gaussian> {
     let gaussians = &seeds.gaussians;
     let ids = seeds.sparse_ids.iter().enumerate();
@@ -25,7 +24,7 @@ pub fn to_device(seeds: &Seeds) -> Vec<Gaussian> {
     .collect()
 }
 
-/// What the device holds, in its order.
+/// The device's gaussians, in their order.
 pub fn from_device(rows: &[Gaussian]) -> Gaussians {
     Gaussians {
         means: rows.iter().map(|row| row.mean).collect(),
@@ -36,7 +35,7 @@ pub fn from_device(rows: &[Gaussian]) -> Gaussians {
     }
 }
 
-/// Motions as the shader takes them, by ascending anchor.
+/// The shader's motions, sorted by anchor.
 pub fn motions_to_device(motions: &BTreeMap<KeyframeId, Se3>) -> Vec<Motion> {
     let motions = motions.iter();
     motions
@@ -53,7 +52,7 @@ pub fn motions_to_device(motions: &BTreeMap<KeyframeId, Se3>) -> Vec<Motion> {
                 row_y,
                 row_z,
                 translation: translation.map(|x| x as f32),
-                // The first column: what becomes of the identity.
+                // The first column is the quaternion itself.
                 quat: left.map(|row| row[0] as f32),
                 ..Motion::default()
             }

@@ -1,4 +1,4 @@
-//! The stages of a pass in their order: projection, lists, blending; and the way back.
+//! The order of the stages: projection, tile lists and blending forward; loss and gradients backward.
 
 use fgs_geom::View as CameraView;
 
@@ -9,17 +9,17 @@ use crate::GpuError;
 use crate::cpu::{Frustum, ScreenCamera};
 use crate::losses::{DEPTH_UNIT_M, LossSettings, Target};
 
-/// How many workgroups go over `count` items, a thread for each.
+/// Workgroups for `count` items, one thread each.
 pub fn workgroups(count: usize) -> u32 {
     (count as u32).div_ceil(GROUP)
 }
 
-/// Workgroups that go over `count` items.
+/// A dispatch over `count` items, one thread each.
 pub fn groups(count: usize) -> Groups {
     Groups::Fixed(workgroups(count), 1)
 }
 
-/// A view as the shaders take it, without a set of visible gaussians.
+/// The uniform of a view, without a visibility set.
 pub fn view_uniform(view: &CameraView, count: usize, capacity: usize) -> layout::View {
     let camera = ScreenCamera::<f32>::new(view);
     let frustum = Frustum::new(&camera);
@@ -49,7 +49,7 @@ pub fn view_uniform(view: &CameraView, count: usize, capacity: usize) -> layout:
     }
 }
 
-/// The loss's weights for a target; zero where a mean would be over nothing.
+/// The uniform of the loss for a target; weights are zero where there is nothing to average.
 pub fn loss_uniform(settings: &LossSettings, target: &Target) -> layout::Loss {
     let (width, height) = (target.color().width(), target.color().height());
     let colors = 3 * target.compared_colors(settings);
@@ -70,14 +70,14 @@ pub fn loss_uniform(settings: &LossSettings, target: &Target) -> layout::Loss {
 }
 
 impl Recorder<'_> {
-    /// From gaussians to splats, lists and images.
+    /// Gaussians to splats, tile lists and images.
     pub fn forward(&mut self, view: &layout::View) -> Result<(), GpuError> {
         self.project(view)?;
         self.make_lists(view)?;
         self.run("forward", Groups::Fixed(view.tile_columns, view.tile_rows))
     }
 
-    /// From images and target, that of the view with this set, to the gaussians' gradients.
+    /// Images and the target of the view with this set to the gaussians' gradients.
     pub fn backward(
         &mut self,
         view: &layout::View,
@@ -92,7 +92,7 @@ impl Recorder<'_> {
         self.run("project_vjp", Groups::Counted(Dispatch::PER_VISIBLE))
     }
 
-    /// From gradients to moved gaussians, and the loss.
+    /// Gradients to an Adam step, and the sum of the loss.
     pub fn optimize(&mut self) -> Result<(), GpuError> {
         self.run("adam", Groups::Counted(Dispatch::PER_VISIBLE))?;
         self.run("step_stats", Groups::Fixed(1, 1))
@@ -115,15 +115,15 @@ impl Recorder<'_> {
         self.run("place_touches", Groups::Fixed(1, 1))?;
         self.run("write_touches", by_visible)?;
         let tiles = (view.tile_columns * view.tile_rows) as usize;
-        // Keys go up to the number of tiles. An even number of passes: then the result lies where
-        // the keys were.
+        // Keys are below the number of tiles. The number of passes is even, so that the result ends up
+        // in the input's buffers.
         let passes = if tiles < 1 << 16 { 2 } else { 4 };
         let tile_passes = &TILE_PASSES[..passes];
         self.sort(tile_passes, Dispatch::SORT_ENTRIES, ["tile_keys", "slots"])?;
         self.run("find_ranges", groups(tiles))
     }
 
-    /// Sorts keys and values, one digit after the other, the lowest first.
+    /// Radix sort of keys and values, lowest digit first.
     fn sort(
         &mut self,
         passes: &[&'static str],

@@ -1,4 +1,4 @@
-//! Compiled pipelines, kept from one run of the program to the next in a folder of the caller's.
+//! Caches compiled pipelines between runs, in a folder chosen by the caller.
 //! What cannot be read or written is left out: then the driver compiles anew.
 
 use std::fs;

@@ -1,7 +1,8 @@
-//! What a device's memory and arithmetic can do, for floors to compare measured times with.
+//! Measures a device's memory bandwidth, arithmetic throughput and dispatch overhead, from which lower
+//! bounds for the stages follow.
 //!
-//! By the wall clock, which every device has: each kernel is repeated in one submission until that
-//! takes so long that its start and end do not count.
+//! By the wall clock, since not every device has timestamps: each kernel is repeated within one
+//! submission until that takes long enough for its overhead not to matter.
 
 use std::time::Instant;
 
@@ -11,36 +12,35 @@ use crate::GpuError;
 
 /// Bytes that a workgroup copies.
 const COPIED_BYTES: u64 = 16 * (COPIED_ROWS * GROUP) as u64;
-/// Bytes copied at a time, if the device binds so much: far more than any cache holds.
+/// Bytes copied at a time, if the device can bind that much; far more than any cache.
 const COPY_BYTES: u64 = 512 << 20;
 /// Workgroups of multiply-adds; what they write fits the smallest buffer that a device must bind.
 const MULTIPLY_ADD_GROUPS: u32 = 1 << 13;
-/// Dispatches of a pass, to time one.
+/// Dispatches per pass when one is timed.
 const DISPATCHES: u32 = 1000;
-/// A submission that takes so long is the last.
+/// Long enough for a submission.
 const LONG_SECS: f64 = 0.25;
 
-/// Best rates of a device.
+/// Peak rates of a device, as measured.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Rates {
     /// Bytes read plus bytes written.
     pub bytes_per_sec: f64,
-    /// On `f32`, a multiply-add counting two.
+    /// Of `f32`; a multiply-add counts as two.
     pub flops_per_sec: f64,
 }
 
-/// What it costs to start a stage, without its work: the dispatch, and the barrier behind the one
-/// before, which wrote what it reads.
+/// The overhead of a stage that depends on the one before: an empty dispatch and the barrier.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct DispatchCosts {
-    /// Of a size that the host gives, seconds.
+    /// Direct dispatch, seconds.
     pub direct_secs: f64,
-    /// Of a size that lies on the device, seconds.
+    /// Indirect dispatch, seconds.
     pub indirect_secs: f64,
 }
 
 impl GpuDevice {
-    /// Measures what it costs to start a stage.
+    /// Measures the overhead of a stage.
     ///
     /// # Errors
     /// If the device fails.
@@ -74,7 +74,7 @@ impl GpuDevice {
     /// Measures the device's rates, which takes a second or two and up to a gigabyte of its memory.
     ///
     /// # Errors
-    /// If the device fails or its memory does not suffice.
+    /// If the device fails or is out of memory.
     pub fn measure_rates(&self) -> Result<Rates, GpuError> {
         let groups = COPY_BYTES.min(self.binding_limit()) / COPIED_BYTES;
         let bytes = groups * COPIED_BYTES;
@@ -107,7 +107,7 @@ impl GpuDevice {
         })
     }
 
-    /// Seconds that one of many repetitions takes at best.
+    /// Best time per repetition, seconds.
     fn best_secs(&self, record: impl Fn(&mut wgpu::CommandEncoder)) -> Result<f64, GpuError> {
         let mut best = f64::INFINITY;
         let mut repetitions = 1_u32;

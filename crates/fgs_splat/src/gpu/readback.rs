@@ -1,4 +1,4 @@
-//! Copies of what lies on the device.
+//! Copying buffers from the device to the host.
 
 use std::sync::mpsc;
 
@@ -13,7 +13,7 @@ thread_local! {
     pub static WAITS: std::cell::Cell<usize> = const { std::cell::Cell::new(0) };
 }
 
-/// Waits for all that was submitted and copies `len` entries, the first of them entry `first`.
+/// Copies `len` entries starting at entry `first`. Waits for everything submitted so far.
 ///
 /// # Errors
 /// If the device fails.
@@ -28,7 +28,7 @@ pub fn read<T: Pod>(
     Ok(bytemuck::pod_collect_to_vec(&parts.concat()))
 }
 
-/// As [`read`], parts of several buffers at once: of each the first byte and how many.
+/// As [`read`], for parts of several buffers, each given by its first byte and length in bytes.
 ///
 /// # Errors
 /// If the device fails.
@@ -63,13 +63,13 @@ pub fn read_parts(
     Ok(copies)
 }
 
-/// Memory of the host that the device copies to.
+/// A mappable buffer that the device copies into.
 pub struct Landing {
     buffer: wgpu::Buffer,
     bytes: u64,
 }
 
-/// A copy that is on its way.
+/// A pending copy.
 pub struct Arrival {
     landing: Landing,
     submission: wgpu::SubmissionIndex,
@@ -78,24 +78,24 @@ pub struct Arrival {
 
 impl Landing {
     /// # Errors
-    /// If the memory does not suffice.
+    /// If the device is out of memory.
     pub fn new(device: &GpuDevice, bytes: u64) -> Result<Self, GpuError> {
         let buffer = device.buffer("copies to the host", bytes, wgpu::BufferUsages::MAP_READ)?;
         Ok(Self { buffer, bytes })
     }
 
-    /// To be copied to.
+    /// The copy's destination.
     pub fn buffer(&self) -> &wgpu::Buffer {
         &self.buffer
     }
 
-    /// Asks for what the submission copies to it.
+    /// Requests the contents as of this submission.
     pub fn expect(self, submission: wgpu::SubmissionIndex) -> Arrival {
         let (sender, done) = mpsc::channel();
         let bytes = self.bytes;
         self.buffer
             .map_async(wgpu::MapMode::Read, 0..bytes, move |result| {
-                // Nobody waits any more: then nobody needs to know.
+                // The receiver may have been dropped.
                 let _ = sender.send(result);
             });
         Arrival {
@@ -107,7 +107,7 @@ impl Landing {
 }
 
 impl Arrival {
-    /// Waits for the copy and hands its bytes over; gives the memory back to be used again.
+    /// Waits for the copy and passes its bytes to `use_bytes`. Returns the buffer for reuse.
     ///
     /// # Errors
     /// If the device fails.

@@ -1,4 +1,4 @@
-//! Records the dispatches of a step: into a single pass, or, to be timed, each into one of its own.
+//! Records dispatches, in a single compute pass or, if they are timed, each in its own.
 
 use super::buffers::Buffers;
 use super::device::GpuDevice;
@@ -6,16 +6,16 @@ use super::layout::{DISPATCH_WORDS, Dispatch};
 use super::timer::StageTimer;
 use crate::GpuError;
 
-/// How many workgroups are dispatched.
+/// The size of a dispatch, workgroups.
 #[derive(Clone, Copy, Debug)]
 pub enum Groups {
     /// Along x and y.
     Fixed(u32, u32),
-    /// As many as the device has counted.
+    /// Read from the device by an indirect dispatch.
     Counted(Dispatch),
 }
 
-/// Commands for the device, in their order.
+/// Commands being recorded.
 pub struct Recorder<'a> {
     device: &'a GpuDevice,
     pub buffers: &'a mut Buffers,
@@ -25,7 +25,7 @@ pub struct Recorder<'a> {
 }
 
 impl<'a> Recorder<'a> {
-    /// Without any commands.
+    /// Starts an empty command buffer.
     pub fn new(
         device: &'a GpuDevice,
         buffers: &'a mut Buffers,
@@ -40,12 +40,12 @@ impl<'a> Recorder<'a> {
         }
     }
 
-    /// Runs a stage on the buffers that have the names it uses.
+    /// Dispatches a stage, each binding resolved by its name.
     pub fn run(&mut self, stage: &'static str, groups: Groups) -> Result<(), GpuError> {
         self.run_as(stage, 0, &[], groups)
     }
 
-    /// Runs a stage with other names for some buffers: see [`Buffers::bind`].
+    /// Dispatches a stage with aliases for some bindings; see [`Buffers::bind`].
     pub fn run_as(
         &mut self,
         stage: &'static str,
@@ -73,13 +73,13 @@ impl<'a> Recorder<'a> {
         Ok(())
     }
 
-    /// For commands that are no dispatches.
+    /// For commands other than dispatches.
     pub fn encoder(&mut self) -> &mut wgpu::CommandEncoder {
         self.pass = None;
         &mut self.encoder
     }
 
-    /// Hands the commands to the device.
+    /// Submits the commands.
     pub fn submit(mut self) -> wgpu::SubmissionIndex {
         self.pass = None;
         if let Some(timer) = self.timer {

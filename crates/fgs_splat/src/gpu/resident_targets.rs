@@ -1,5 +1,5 @@
-//! Which views' measured images lie on the device: those used last, within a budget of bytes. The
-//! others wait in the host's memory and are uploaded when they are needed.
+//! Keeps the measured images of the most recently used views on the device, within a budget. The others
+//! stay in host memory and are uploaded when they are needed.
 
 use std::collections::BTreeMap;
 
@@ -10,16 +10,16 @@ use super::device::GpuDevice;
 use crate::GpuError;
 use crate::Target;
 
-/// The most that is spent on targets: 200 keyframes of 1200x680 take 1.3 GB.
+/// The largest budget, bytes: 200 keyframes of 1200x680 take 1.3 GB.
 const MOST_BYTES: u64 = 3 << 29;
 
-/// Bytes to spend on a device. No interface that wgpu stands on says how much memory is free; the
-/// largest buffer that a device allows is the one figure that grows with what it has.
+/// The budget on a device, bytes. wgpu cannot query free memory; the largest buffer that the device
+/// allows is the one limit that grows with its memory.
 pub fn budget(device: &GpuDevice) -> u64 {
     device.raw().limits().max_buffer_size.min(MOST_BYTES)
 }
 
-/// Targets by the set of their view.
+/// Least-recently-used bookkeeping by the view's set.
 pub struct ResidentTargets {
     budget: u64,
     /// The time of their last use.
@@ -28,7 +28,7 @@ pub struct ResidentTargets {
 }
 
 impl ResidentTargets {
-    /// Keeps so many bytes of them, but at least one.
+    /// Keeps up to so many bytes of targets, but at least one target.
     pub fn new(budget: u64) -> Self {
         Self {
             budget,
@@ -37,12 +37,11 @@ impl ResidentTargets {
         }
     }
 
-    /// Uploads a view's target unless it is there, pixel by pixel: a word with eight bits of each
-    /// colour and 1 or 0 in the fourth byte, whether they are valid; then the bits of the depth in
-    /// metres.
+    /// Uploads a view's target unless it is resident: two words a pixel, RGB with 8 bits each and in
+    /// the fourth byte 1 or 0, whether the camera saw them; and the bits of the depth in metres.
     ///
     /// # Errors
-    /// If the device's memory does not suffice.
+    /// If the device is out of memory.
     pub fn require(
         &mut self,
         device: &GpuDevice,
@@ -68,12 +67,12 @@ impl ResidentTargets {
             .collect();
         let bytes: &[u8] = bytemuck::cast_slice(&pixels);
         while buffers.target_bytes() + bytes.len() as u64 > self.budget
-            && self.forget_oldest(buffers)
+            && self.evict_oldest(buffers)
         {}
         let buffer = loop {
             let usage = wgpu::BufferUsages::STORAGE;
             match device.buffer("a keyframe's images", bytes.len() as u64, usage) {
-                Err(GpuError::OutOfMemory(_)) if self.forget_oldest(buffers) => {}
+                Err(GpuError::OutOfMemory(_)) if self.evict_oldest(buffers) => {}
                 buffer => break buffer?,
             }
         };
@@ -83,14 +82,14 @@ impl ResidentTargets {
         Ok(())
     }
 
-    /// Forgets a view.
+    /// Evicts a view's target.
     pub fn remove(&mut self, buffers: &mut Buffers, set: u32) {
         self.last_uses.remove(&set);
         buffers.remove_target(set);
     }
 
-    /// Whether there was one.
-    fn forget_oldest(&mut self, buffers: &mut Buffers) -> bool {
+    /// Returns whether there was one to evict.
+    fn evict_oldest(&mut self, buffers: &mut Buffers) -> bool {
         let oldest = self.last_uses.iter().min_by_key(|(_, last_use)| **last_use);
         let Some(oldest) = oldest.map(|(set, _)| *set) else {
             return false;

@@ -1,7 +1,6 @@
-//! Whether prefix sums by subgroup operations are right on a device. They need threads to fill
-//! subgroups in order, as they do wherever anyone has looked, and to come together again after they
-//! went different ways, as compilers have got wrong; no specification that wgpu stands on promises
-//! either.
+//! Checks the prefix sums by subgroup operations on a device. They rely on threads filling subgroups in
+//! order and on reconvergence after divergent control flow; neither is guaranteed by WGSL, and
+//! drivers have got the latter wrong.
 
 use super::layout::GROUP;
 use super::stage::Stage;

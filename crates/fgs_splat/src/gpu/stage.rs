@@ -1,8 +1,8 @@
-//! The stages: compute pipelines made from the shaders, and what each reads and writes.
+//! Stages: the compute pipelines and the buffers that each binds.
 //!
-//! Input: WGSL files, put together from the preamble that Rust generates, shared functions and the
-//! stage's own file. A stage knows the names of the buffers that its entry point uses from the
-//! shader itself, so that no list of bindings is kept beside it.
+//! A shader is concatenated from the generated preamble, files of shared functions and the stage's own
+//! file. The bindings of an entry point are reflected from the shader, so that no list of them has to
+//! be kept in Rust.
 
 use wgpu::naga;
 
@@ -10,14 +10,14 @@ use super::layout::preamble;
 use super::taps::unroll_taps;
 use crate::GpuError;
 
-/// A file of entry points, and the files of functions that it needs, in the order of their use.
+/// A file of entry points and the files of shared functions that it needs, in order of definition.
 pub struct ShaderFile {
     pub name: &'static str,
     parts: &'static [&'static str],
     entry_points: &'static [&'static str],
 }
 
-/// The file that stands for prefix sums over a workgroup, with or without subgroup operations.
+/// Prefix sums over a workgroup, without and with subgroup operations.
 const WORKGROUP_SCAN: &str = include_str!("shaders/workgroup_scan.wgsl");
 const WORKGROUP_SCAN_BY_SUBGROUPS: &str = include_str!("shaders/workgroup_scan_by_subgroups.wgsl");
 
@@ -161,7 +161,7 @@ pub const SHADER_FILES: &[ShaderFile] = &[
 ];
 
 impl ShaderFile {
-    /// The whole text.
+    /// The complete WGSL source.
     pub fn source(&self, by_subgroups: bool) -> String {
         let mut source = preamble();
         for part in self.parts {
@@ -173,10 +173,10 @@ impl ShaderFile {
         source
     }
 
-    /// The text as the shader compiler reads it, and what it found about it.
+    /// The parsed and validated module.
     ///
     /// # Errors
-    /// If it is no valid WGSL; the message shows where.
+    /// If it is not valid WGSL; the message shows where.
     pub fn parse(
         &self,
         by_subgroups: bool,
@@ -198,12 +198,12 @@ impl ShaderFile {
     }
 }
 
-/// How pipelines are made.
+/// How pipelines are compiled.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct StageOptions {
-    /// Whether subgroup operations are used.
+    /// Use subgroup operations.
     pub by_subgroups: bool,
-    /// Whether every access to a buffer is checked when it happens.
+    /// Bounds-check every buffer access.
     pub checked: bool,
 }
 
@@ -268,12 +268,12 @@ impl Stage {
         Ok(stages)
     }
 
-    /// Whether its entry point uses a buffer of that name.
+    /// Whether the entry point binds a buffer of that name.
     pub fn uses(&self, buffer: &str) -> bool {
         self.bindings.iter().any(|(_, name)| name == buffer)
     }
 
-    /// The stage with its buffers, found by their names.
+    /// A bind group, its buffers resolved by name.
     ///
     /// # Errors
     /// If one is not found.
@@ -299,7 +299,7 @@ impl Stage {
     }
 }
 
-/// The buffers that an entry point uses.
+/// The bindings that an entry point uses.
 fn used_bindings(
     module: &naga::Module,
     info: &naga::valid::ModuleInfo,

@@ -1,10 +1,10 @@
-//! How long each stage takes on the device, by its own clock.
+//! Times stages with the device's timestamp queries.
 
 use super::device::GpuDevice;
 use super::readback;
 use crate::GpuError;
 
-/// Stages of a step, with room to spare.
+/// More than the stages of a step.
 const MAX_STAGES: u32 = 64;
 
 /// Times the stages of one submission.
@@ -15,10 +15,10 @@ pub struct StageTimer {
 }
 
 impl StageTimer {
-    /// `None` if the device has no clock.
+    /// `None` if the device has no timestamp queries.
     ///
     /// # Errors
-    /// If the device's memory does not suffice.
+    /// If the device is out of memory.
     pub fn new(device: &GpuDevice) -> Result<Option<Self>, GpuError> {
         if !device
             .raw()
@@ -43,7 +43,7 @@ impl StageTimer {
         }))
     }
 
-    /// Where the next stage's start and end go.
+    /// The queries for the next stage's start and end.
     pub(super) fn next(
         &mut self,
         stage: &'static str,
@@ -65,7 +65,7 @@ impl StageTimer {
         encoder.resolve_query_set(&self.queries, 0..count, &self.ticks, 0);
     }
 
-    /// The stages of the last submission in their order and their milliseconds; starts anew.
+    /// The stages of the last submission in order, with their milliseconds. Resets the timer.
     ///
     /// # Errors
     /// If the device fails.

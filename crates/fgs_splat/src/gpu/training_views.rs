@@ -1,5 +1,5 @@
-//! The keyframes' views that can be optimised: pose, target, and a set of the gaussians that each
-//! shows, whose bits lie on the device.
+//! The keyframes' training views: pose, target, and the number of a visibility set (a bit per gaussian,
+//! stored on the device).
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -17,7 +17,7 @@ use crate::rigid_motion::moved;
 pub struct TrainingView {
     pub view: View,
     pub target: Target,
-    /// Number of its set of gaussians.
+    /// Index of its visibility set.
     pub set: u32,
 }
 
@@ -29,7 +29,7 @@ pub struct TrainingViews {
 }
 
 impl TrainingViews {
-    /// Without any; so many bytes of targets are kept on the device.
+    /// No views; up to so many bytes of targets are kept on the device.
     pub fn new(buffers: &Buffers, target_bytes: u64) -> Self {
         Self {
             views: BTreeMap::new(),
@@ -41,7 +41,7 @@ impl TrainingViews {
     /// Adds a view, of a keyframe that has none.
     ///
     /// # Errors
-    /// If the device's memory does not suffice.
+    /// If the device is out of memory.
     pub fn add(
         &mut self,
         buffers: &mut Buffers,
@@ -100,10 +100,10 @@ impl TrainingViews {
         }
     }
 
-    /// A keyframe's view, its target on the device.
+    /// A keyframe's view, after making its target resident.
     ///
     /// # Errors
-    /// If there is none, or the device's memory does not suffice.
+    /// If there is none, or the device is out of memory.
     pub fn require(
         &mut self,
         device: &GpuDevice,

@@ -1,8 +1,8 @@
-//! What was asked of the device and has not been heard of: steps, motions and prunings, in order.
+//! Steps, motions and prunings that were submitted to the device and have not reported back.
 //!
-//! A step that finds no room for the tiles' lists changes nothing, and neither does anything after it,
-//! until the host hears of it, makes room and repeats all of it in order. So results depend on nothing
-//! but the calls and the device.
+//! A step whose tile lists overflow changes nothing, and neither does anything submitted after it, until
+//! the host learns of it, grows the buffers and resubmits everything in order. So results depend only
+//! on the calls and the device, never on buffer capacities or timing.
 
 use std::collections::VecDeque;
 
@@ -19,28 +19,28 @@ use crate::GpuError;
 use crate::model::{ModelError, PruneRule, SparseId, StepStats};
 use crate::{Cotangents, Gaussians, LossSettings, photometric_loss};
 
-/// How much the device may be behind the host: enough that it never runs out of work.
+/// Work that may be in flight: enough that the device never runs dry.
 const MAX_IN_FLIGHT: usize = 4;
 
-/// What the device can be asked to do without waiting for it.
+/// Work that is submitted without waiting for the device.
 pub enum Work {
-    /// A step on a keyframe's view, from where the camera was then.
+    /// A step on a keyframe's view, with the camera's pose at the time of the call.
     Step(KeyframeId, View),
-    /// By ascending anchor.
+    /// Sorted by anchor.
     Move(Vec<layout::Motion>),
     Prune(PruneRule),
 }
 
-/// How the device reports it.
+/// How the device reports completion.
 enum Report {
     /// The counts.
     Step(Arrival),
-    /// It does not: it happened if all before it did.
+    /// Not at all: it took effect if everything before it did.
     Move,
     Prune(Pruning),
 }
 
-/// The map, its views, and what was asked of the device.
+/// The map, its views and the work in flight.
 pub struct WorkQueue {
     pub map: DeviceMap,
     pub views: TrainingViews,
@@ -57,7 +57,7 @@ pub struct WorkQueue {
 }
 
 impl WorkQueue {
-    /// Nothing to do.
+    /// With nothing in flight.
     pub fn new(map: DeviceMap, views: TrainingViews, loss: LossSettings) -> Self {
         Self {
             map,
@@ -72,18 +72,18 @@ impl WorkQueue {
         }
     }
 
-    /// How many steps found no room and were repeated.
+    /// How many steps overflowed the tile lists and were repeated.
     pub fn repeated_steps(&self) -> usize {
         self.repeated_steps
     }
 
-    /// How much was asked of the device and has not been heard of.
+    /// Number of submissions that have not reported back.
     #[cfg(test)]
     pub fn in_flight(&self) -> usize {
         self.in_flight.len()
     }
 
-    /// Asks for something, once the device is not too far behind.
+    /// Submits work, after waiting for the oldest if too much is in flight.
     ///
     /// # Errors
     /// If a step's view does not exist, an earlier step found damaged values, or the device fails.
@@ -94,7 +94,7 @@ impl WorkQueue {
         self.submit(work, None)
     }
 
-    /// Asks for a step whose stages are timed.
+    /// Submits a step and times its stages.
     ///
     /// # Errors
     /// As of [`WorkQueue::push`].
@@ -135,7 +135,7 @@ impl WorkQueue {
         Ok(counts)
     }
 
-    /// Writes what the stages need to know of a keyframe's view. Returns its set, too.
+    /// Writes the uniforms of a keyframe's view and makes its target resident. Also returns its set.
     fn look_at(
         &mut self,
         id: KeyframeId,
@@ -193,7 +193,7 @@ impl WorkQueue {
         Ok(landing.expect(recorder.submit()))
     }
 
-    /// Waits for the oldest of what is in flight.
+    /// Waits for the oldest work in flight.
     fn retire(&mut self) -> Result<(), ModelError> {
         match self.in_flight.pop_front() {
             Some((Work::Step(id, view), Report::Step(counts))) => {
@@ -221,7 +221,7 @@ impl WorkQueue {
         let count = |place: Count| counts[place as usize];
         if count(Count::OUT_OF_RANGE) != 0 {
             for work in self.forget_what_is_in_flight()? {
-                // The cameras have moved already; what is left of the steps is the caller's affair.
+                // The cameras have already moved. Steps and prunings are dropped: this error ends the run.
                 if let Work::Move(_) = work {
                     self.submit(work, None)?;
                 }
@@ -247,7 +247,7 @@ impl WorkQueue {
         Ok(())
     }
 
-    /// Waits for all that is in flight, which changed nothing, and lets what comes next change things.
+    /// Waits for everything in flight, all of it void, and clears the flags that made it so.
     fn forget_what_is_in_flight(&mut self) -> Result<Vec<Work>, GpuError> {
         let mut void = Vec::new();
         for (work, report) in std::mem::take(&mut self.in_flight) {

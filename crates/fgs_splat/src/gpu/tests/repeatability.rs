@@ -7,7 +7,6 @@ use super::device::{device, open};
 use super::scenes::{random_target, seeds};
 use crate::cpu::tests::scenes::{random_gaussians, random_view, rng, to_f32};
 use crate::gpu::gpu_model::GpuModel;
-use crate::gpu::scan_check::scans_in_order;
 use crate::gpu::stage::StageOptions;
 use crate::{GaussianModel, Gaussians, GpuDevice, ModelSettings, PruneRule, StepStats};
 
@@ -43,8 +42,9 @@ fn the_same_bits_every_time() {
     let Some(device) = device() else {
         return;
     };
-    let stage = device.stage("check_scan").unwrap();
-    assert!(scans_in_order(device.raw(), device.queue(), stage).unwrap());
+    // Its subgroup operations were found right, or it has none.
+    let left_out = |caveat: &&str| caveat.contains("subgroup operations disabled");
+    assert!(!device.caveats().iter().any(left_out));
     let first = live(device.clone());
     assert_eq!(first.1.len(), 12);
     for _ in 0..3 {
