@@ -25,7 +25,7 @@ pub struct Gaussians<T = f32> {
     /// Logarithms of the standard deviations along the gaussian's axes, [N, 3]. Seeds are disks
     /// whose third axis is the flat one.
     pub log_scales: Vec<[T; 3]>,
-    /// `opacity = 1 / (1 + exp(-logit))`, [N].
+    /// `opacity = 1 / (1 + exp(-logit))`, `[N]`.
     pub opacity_logits: Vec<T>,
     /// Colour as spherical harmonics of degree 0, [N, 3].
     pub sh: Vec<[T; 3]>,

@@ -18,9 +18,9 @@ pub struct SparseId(pub u32);
 /// New gaussians.
 #[derive(Clone, Debug, Default)]
 pub struct Seeds {
-    /// Their parameters, [N].
+    /// Their parameters, `[N]`.
     pub gaussians: Gaussians,
-    /// The names of those that are part of the sparse map, [N].
+    /// The names of those that are part of the sparse map, `[N]`.
     pub sparse_ids: Vec<Option<SparseId>>,
 }
 

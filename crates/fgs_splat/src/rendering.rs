@@ -129,8 +129,8 @@ pub struct GaussianGradient<T = f32> {
 /// The loss's derivatives by the gaussians that a view touches; by all others they are zero.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct GaussianGradients<T = f32> {
-    /// Indices of the gaussians that contributed to a pixel, ascending, [M].
+    /// Indices of the gaussians that contributed to a pixel, ascending, `[M]`.
     pub touched: Vec<u32>,
-    /// Entry k is by gaussian `touched[k]`, [M].
+    /// Entry k is by gaussian `touched[k]`, `[M]`.
     pub gradients: Vec<GaussianGradient<T>>,
 }
