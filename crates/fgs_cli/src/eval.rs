@@ -27,7 +27,7 @@ What the numbers mean (means over the tracked frames):
   ate_rmse_m, ate_mean_m  distance to the known positions after rigid alignment without scale
   rpe_mean_m              error of the motion between successive tracked frames
   psnr_valid_depth_db     where depth is measured
-  psnr_db                 over all pixels
+  psnr_db                 over all pixels that the camera saw
   psnr_paper_db           both images black where no depth is measured, those pixels counted
   psnr_heldout_db         as psnr_valid_depth_db, over frames that were never keyframes
   ssim, depth_l1_m        structural similarity; mean absolute depth error")]

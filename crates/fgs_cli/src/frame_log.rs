@@ -65,7 +65,7 @@ pub struct FrameRow {
     pub tracking_ms: Option<f64>,
     /// Over pixels with depth.
     pub psnr_valid_depth_db: Option<f64>,
-    /// Over all pixels.
+    /// Over all pixels that the camera saw.
     pub psnr_db: Option<f64>,
     /// As the paper's code has it.
     pub psnr_paper_db: Option<f64>,

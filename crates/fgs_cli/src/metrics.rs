@@ -34,7 +34,7 @@ pub struct Metrics {
     pub rpe_mean_m: Option<f64>,
     /// Over pixels with measured depth.
     pub psnr_valid_depth_db: Option<f64>,
-    /// Over all pixels.
+    /// Over all pixels that the camera saw.
     pub psnr_db: Option<f64>,
     /// As the paper's code computes it.
     pub psnr_paper_db: Option<f64>,
