@@ -120,12 +120,12 @@ pub enum DataError {
         source: CameraError,
     },
     /// An image that cannot be decoded.
-    #[error("{}: {source}", path.display())]
+    #[error("{}: {message}", path.display())]
     Image {
         /// The file.
         path: PathBuf,
-        /// Why.
-        source: image::ImageError,
+        /// The decoder's message.
+        message: String,
     },
     /// A JPEG file that ends before its last pixel.
     #[error("{}: the JPEG image is cut short", .0.display())]

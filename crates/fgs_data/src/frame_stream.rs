@@ -65,8 +65,8 @@ struct Limits {
 }
 
 impl Limits {
-    /// For frames of one camera on a machine with so many cores. A frame counts against the memory
-    /// from the moment a thread begins with it, so that more threads than frames ahead are of no use.
+    /// The limits for a camera's frames on a machine with that many cores. A frame counts against
+    /// the memory as soon as a thread starts on it, so more threads than frames ahead would idle.
     fn new(camera: &Camera, cores: usize) -> Self {
         let pixels = camera.width.saturating_mul(camera.height).max(1);
         let affordable = MAX_LOOK_AHEAD_BYTES / pixels.saturating_mul(BYTES_PER_PIXEL);

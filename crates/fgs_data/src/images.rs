@@ -143,9 +143,9 @@ fn size_error((width, height): (u32, u32), path: &Path, camera: &Camera) -> Data
     }
 }
 
-fn image_error(path: &Path, source: ImageError) -> DataError {
+fn image_error(path: &Path, error: ImageError) -> DataError {
     DataError::Image {
         path: path.into(),
-        source,
+        message: error.to_string(),
     }
 }

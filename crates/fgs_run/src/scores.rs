@@ -95,7 +95,7 @@ pub const SCORES: &[Score] = &[
     },
     Score {
         name: "psnr_db",
-        meaning: "PSNR over all pixels",
+        meaning: "PSNR over all pixels that the camera saw",
         source: Source::Frame(|errors| Some(errors.image.psnr_db)),
         shown: shown("PSNR", 1.0, 2, " dB everywhere"),
     },

@@ -51,8 +51,8 @@ impl<'a> Seeder<'a> {
     }
 
     /// Seeds on the pixels of the two grids that lie in `missing`, Eq. (10), and on those that join
-    /// the sparse map. A pixel that is both gets one gaussian that serves both maps; one whose colour
-    /// the camera did not see gets none.
+    /// the sparse map. A pixel that is both gets one gaussian that serves both maps; a pixel whose
+    /// colour the camera did not see gets none.
     pub fn seeds(&self, missing: &Image<bool>, new_points: &[NewPoint]) -> Seeds {
         let (width, height) = (missing.width(), missing.height());
         let mut sparse: Image<Option<SparseId>> = Image::filled(width, height, None);

@@ -32,7 +32,7 @@ impl Scene {
                 camera: frame.camera,
                 world_from_camera: Se3::identity(),
             },
-            target: Target::new(frame.color.clone(), frame.depth_m.clone())?,
+            target: Target::from_frame(frame)?,
         })
     }
 

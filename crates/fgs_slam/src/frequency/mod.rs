@@ -96,9 +96,9 @@ impl FrequencySegmenter {
         self.mask()
     }
 
-    /// The mask `M_h` of a colour image, every pixel of which was seen: true where the response lies strictly above the triangle
-    /// threshold, nowhere if the image is constant. An image of another size than planned for is
-    /// planned for anew.
+    /// The mask `M_h` of a colour image without unseen pixels: true where the response lies strictly
+    /// above the triangle threshold, nowhere if the image is constant. An image of another size than
+    /// planned for is planned for anew.
     pub fn segment(&mut self, color: &Image<[u8; 3]>) -> Image<bool> {
         self.plan(color.width(), color.height());
         self.unseen = None;

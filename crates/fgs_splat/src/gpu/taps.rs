@@ -1,8 +1,8 @@
 //! The loop over the taps of SSIM's window, unrolled in the shaders' text.
 //!
-//! A constant array indexed by a loop's counter is copied to each thread's own memory, and read from
-//! there at every access, by drivers that do not unroll the loop. So a shader writes the loop as one
-//! line, which stands for a line a tap with the weight as a literal:
+//! Drivers that do not unroll a loop put a constant array indexed by its counter into thread-local
+//! memory and read it from there on every access. So a shader writes the loop as one marked line,
+//! which is repeated for each tap with the weight as a literal:
 //! `#each_tap sum += {weight} * rows[first + {tap}];`
 
 use crate::losses::{TAPS, window};
