@@ -64,6 +64,7 @@ fn map(dataset: &Dataset, poses: &Trajectory) -> Result<Gaussians> {
             kind: KeyframeKind::Mapping,
             frame: Arc::new(frame),
             world_from_camera,
+            information: None,
             new_points: Vec::new(),
         };
         let missing = mapper.missing_region(&keyframe)?;

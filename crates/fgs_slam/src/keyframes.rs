@@ -8,6 +8,7 @@ use std::sync::Arc;
 
 use fgs_geom::{KeyframeId, RgbdFrame, Se3, View};
 use fgs_splat::SparseId;
+use nalgebra::Matrix6;
 use serde::{Deserialize, Serialize};
 
 use crate::config::KeyframeConfig;
@@ -42,6 +43,9 @@ pub struct Keyframe {
     pub frame: Arc<RgbdFrame>,
     /// Where it was taken.
     pub world_from_camera: Se3,
+    /// How sure that is: inverse covariance of the pose, tangent `[omega, v]` in the camera's axes
+    /// (rad, metres), [6, 6]. `None` where nothing was registered, as for the first keyframe.
+    pub information: Option<Matrix6<f64>>,
     /// The pixels that join the sparse map, with the names of their gaussians.
     pub new_points: Vec<NewPoint>,
 }

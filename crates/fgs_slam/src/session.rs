@@ -5,7 +5,7 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use fgs_geom::{Camera, FrameError, FrameIndex, KeyframeId, RgbdFrame, Se3};
-use fgs_graph::KeyframeGraph;
+use fgs_graph::{Edge, KeyframeGraph, RobustKernel};
 use fgs_splat::{GaussianModel, Gaussians, SettingError};
 use rayon::ThreadPool;
 
@@ -320,9 +320,25 @@ impl Slam {
         Ok(frame.check()?)
     }
 
+    /// Puts a keyframe into the graph, with an edge from the one before it. Its pose comes from the
+    /// map around both, so the edge is as sure as the registration.
     fn add_keyframe(&mut self, keyframe: &Keyframe) {
-        self.graph
-            .add_keyframe(keyframe.id, keyframe.world_from_camera);
+        let pose = keyframe.world_from_camera;
+        self.graph.add_keyframe(keyframe.id, pose);
+        if let Some(information) = keyframe.information
+            && let Some((previous, ..)) = self.keyframes.last()
+            && let Some(world_from_previous) = self.graph.pose(*previous)
+        {
+            // An information that is not positive definite makes no edge: the keyframe then starts
+            // a part of its own.
+            let _ = self.graph.add_edge(Edge {
+                from: *previous,
+                to: keyframe.id,
+                from_from_to: world_from_previous.inverse() * pose,
+                information,
+                kernel: RobustKernel::Quadratic,
+            });
+        }
         self.keyframes
             .push((keyframe.id, keyframe.kind, keyframe.frame.index));
     }

@@ -10,6 +10,7 @@ use std::time::Instant;
 use fgs_geom::{Camera, KeyframeId, RgbdFrame, Se3};
 use fgs_gicp::{Alignment, DepthGrid, Point, Settings, SurfacePoint, align};
 use fgs_splat::SparseId;
+use nalgebra::Matrix6;
 use rayon::prelude::*;
 
 use crate::config::{KeyframeConfig, SlamConfig, SurfaceConfig, TrackingConfig};
@@ -27,6 +28,10 @@ const MIN_POINTS: usize = 50;
 const ROTATION_EPSILON_RAD: f64 = 1e-3;
 const TRANSLATION_EPSILON_M: f64 = 2e-4;
 
+/// No depth camera measures a surface better than this at the distances of a room: a floor under
+/// the noise that a registration finds in its residuals.
+const SENSOR_NOISE_M: f64 = 1e-4;
+
 /// Registers frames with the sparse map.
 pub struct Tracker {
     config: TrackingConfig,
@@ -38,7 +43,15 @@ pub struct Tracker {
     motion: MotionModel,
     newest_keyframe: Option<KeyframeId>,
     /// The last trusted frame, unless it became a keyframe.
-    unmapped: Option<(Arc<RgbdFrame>, Se3)>,
+    unmapped: Option<(Arc<RgbdFrame>, Registered)>,
+}
+
+/// A trusted pose.
+#[derive(Clone, Copy)]
+struct Registered {
+    world_from_camera: Se3,
+    /// See [`Keyframe::information`].
+    information: Option<Matrix6<f64>>,
 }
 
 /// What the tracker says of a frame.
@@ -78,19 +91,22 @@ impl Tracker {
             sparse_points: self.map.points().len(),
             ..TrackingQuality::default()
         };
-        let world_from_camera = self.register(frame.timestamp_secs, &points, &mut quality);
+        let registered = self.register(frame.timestamp_secs, &points, &mut quality);
         let mut keyframe = None;
-        if let Some(pose) = world_from_camera {
-            self.motion.observe(pose, frame.timestamp_secs);
+        if let Some(registered) = registered {
+            self.motion
+                .observe(registered.world_from_camera, frame.timestamp_secs);
             let overlap_share = quality.inliers as f64 / points.len() as f64;
             if let Some(kind) = self.policy.decide(overlap_share, may_become_keyframe) {
-                keyframe = Some(self.make_keyframe(kind, frame, pose, &points));
+                keyframe = Some(self.make_keyframe(kind, frame, registered, &points));
             }
-            self.unmapped = keyframe.is_none().then(|| (Arc::clone(frame), pose));
+            self.unmapped = keyframe
+                .is_none()
+                .then(|| (Arc::clone(frame), registered));
         }
         quality.duration = start.elapsed();
         Tracked {
-            world_from_camera,
+            world_from_camera: registered.map(|registered| registered.world_from_camera),
             quality,
             keyframe,
         }
@@ -99,14 +115,8 @@ impl Tracker {
     /// The keyframe that the last trusted frame becomes when the recording ends, so that the map
     /// reaches as far as the camera did; `None` if it already is one.
     pub fn finish(&mut self) -> Option<Keyframe> {
-        let (frame, world_from_camera) = self.unmapped.take()?;
-        Some(Keyframe {
-            id: self.next_keyframe_id(),
-            kind: KeyframeKind::Mapping,
-            frame,
-            world_from_camera,
-            new_points: Vec::new(),
-        })
+        let (frame, registered) = self.unmapped.take()?;
+        Some(self.make_keyframe(KeyframeKind::Mapping, &frame, registered, &[]))
     }
 
     /// The keyframe that the camera's pose is relative to.
@@ -128,8 +138,8 @@ impl Tracker {
             .find(|(id, _)| Some(*id) == self.newest_keyframe);
         if let Some((_, new_from_old)) = newest {
             self.motion.move_world(new_from_old);
-            if let Some((_, pose)) = &mut self.unmapped {
-                *pose = *new_from_old * *pose;
+            if let Some((_, Registered { world_from_camera, .. })) = &mut self.unmapped {
+                *world_from_camera = *new_from_old * *world_from_camera;
             }
         }
     }
@@ -140,13 +150,16 @@ impl Tracker {
         timestamp_secs: f64,
         points: &[SurfacePoint],
         quality: &mut TrackingQuality,
-    ) -> Option<Se3> {
+    ) -> Option<Registered> {
         if points.len() < MIN_POINTS {
             return None;
         }
         let Some(predicted) = self.motion.predict(timestamp_secs) else {
-            // The first frame that shows anything at all.
-            return Some(Se3::identity());
+            // The first frame with enough depth.
+            return Some(Registered {
+                world_from_camera: Se3::identity(),
+                information: None,
+            });
         };
         let source: Vec<Point> = points.par_iter().map(|point| self.disk(point)).collect();
         let settings = Settings {
@@ -171,8 +184,10 @@ impl Tracker {
         quality.inliers = alignment.inliers;
         quality.residual_m = alignment.rms_residual_m;
         quality.conditioning = alignment.conditioning.weakest;
-        self.is_trusted(&alignment)
-            .then_some(alignment.target_from_source)
+        self.is_trusted(&alignment).then(|| Registered {
+            world_from_camera: alignment.target_from_source,
+            information: Some(alignment.information(SENSOR_NOISE_M)),
+        })
     }
 
     fn is_trusted(&self, alignment: &Alignment) -> bool {
@@ -189,10 +204,11 @@ impl Tracker {
         &mut self,
         kind: KeyframeKind,
         frame: &Arc<RgbdFrame>,
-        world_from_camera: Se3,
+        registered: Registered,
         points: &[SurfacePoint],
     ) -> Keyframe {
         let id = self.next_keyframe_id();
+        let world_from_camera = registered.world_from_camera;
         let new_points = match kind {
             KeyframeKind::Mapping => Vec::new(),
             KeyframeKind::Tracking => {
@@ -219,6 +235,7 @@ impl Tracker {
             kind,
             frame: Arc::clone(frame),
             world_from_camera,
+            information: registered.information,
             new_points,
         }
     }

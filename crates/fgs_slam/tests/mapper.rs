@@ -26,6 +26,7 @@ fn keyframes_beyond_the_limit_are_dropped_whatever_their_order() {
             kind: KeyframeKind::Mapping,
             frame: Arc::new(frame),
             world_from_camera: sequence.world_from_camera(i),
+            information: None,
             new_points: Vec::new(),
         };
         let missing = mapper.missing_region(&keyframe).unwrap();

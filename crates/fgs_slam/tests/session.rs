@@ -11,6 +11,7 @@ use std::time::{Duration, Instant};
 use common::{cpu_model, feed, frames, go, picture, poses, room, session, statuses};
 use crossbeam_channel::bounded;
 use fgs_geom::{KeyframeId, Se3};
+use fgs_graph::OptimizeSettings;
 use fgs_slam::{
     Execution, FrameStatus, KeyframeKind, Slam, SlamConfig, SlamError, SlamEvent, live,
 };
@@ -166,6 +167,26 @@ fn a_frame_follows_the_keyframe_it_was_seen_from() {
         };
         assert!(distance(&frame.world_from_camera.unwrap(), &expected) <= 1e-12);
     }
+}
+
+/// Keyframes are tied to each other, and the ties fit the poses they were made from.
+#[test]
+fn successive_keyframes_are_tied_by_how_well_they_were_registered() {
+    let sequence = room(25);
+    let output = go(frames(&sequence), &sequence, Execution::Lockstep);
+    let edges = output.graph.edges();
+    assert!(edges.len() >= 2 && edges.len() + 1 == output.keyframes.len());
+    for (edge, pair) in edges.iter().zip(output.keyframes.windows(2)) {
+        assert_eq!((edge.from, edge.to), (pair[0].id, pair[1].id));
+        assert!(edge.chi2(&pair[0].world_from_camera, &pair[1].world_from_camera) <= 1e-9);
+        let covariance = edge.information.try_inverse().unwrap();
+        let sigma_m = covariance.fixed_view::<3, 3>(3, 3).trace().sqrt();
+        // Thousands of exact points: between a hundredth and a few millimetres.
+        assert!((1e-5..3e-3).contains(&sigma_m), "{sigma_m} m");
+    }
+    let optimized = output.graph.optimize(&OptimizeSettings::default()).unwrap();
+    let still = |(_, motion): &(KeyframeId, Se3)| distance(motion, &Se3::identity()) <= 1e-9;
+    assert!(optimized.corrections.iter().all(still));
 }
 
 #[test]
