@@ -100,9 +100,7 @@ impl Tracker {
             if let Some(kind) = self.policy.decide(overlap_share, may_become_keyframe) {
                 keyframe = Some(self.make_keyframe(kind, frame, registered, &points));
             }
-            self.unmapped = keyframe
-                .is_none()
-                .then(|| (Arc::clone(frame), registered));
+            self.unmapped = keyframe.is_none().then(|| (Arc::clone(frame), registered));
         }
         quality.duration = start.elapsed();
         Tracked {
@@ -138,7 +136,13 @@ impl Tracker {
             .find(|(id, _)| Some(*id) == self.newest_keyframe);
         if let Some((_, new_from_old)) = newest {
             self.motion.move_world(new_from_old);
-            if let Some((_, Registered { world_from_camera, .. })) = &mut self.unmapped {
+            if let Some((
+                _,
+                Registered {
+                    world_from_camera, ..
+                },
+            )) = &mut self.unmapped
+            {
                 *world_from_camera = *new_from_old * *world_from_camera;
             }
         }

@@ -16,7 +16,7 @@ use crate::keyframes::Keyframe;
 /// What the tracking side tells the mapper.
 pub enum Message {
     /// A frame was tracked and may have become a keyframe.
-    Frame(Option<Keyframe>),
+    Frame(Option<Box<Keyframe>>),
     /// Keyframes have moved.
     Move(Moves),
     /// A copy of the map is wanted.
@@ -76,7 +76,7 @@ impl MappingThread {
 /// Does what a message asks for, apart from optimisation; `false` if the mapper is gone.
 pub fn obey(worker: &mut MapperWorker, message: Message) -> bool {
     worker.turn(|worker| match message {
-        Message::Frame(Some(keyframe)) => worker.begin(keyframe),
+        Message::Frame(Some(keyframe)) => worker.begin(*keyframe),
         Message::Frame(None) => Ok(()),
         Message::Move(moves) => worker.move_keyframes(&moves),
         Message::Snapshot(answer) => {
@@ -97,7 +97,7 @@ impl Mapping for MappingThread {
         if keyframe.is_none() && self.policy == Policy::KeyframesWhileRoom {
             return self.wait_until(Instant::now());
         }
-        self.send(Message::Frame(keyframe))
+        self.send(Message::Frame(keyframe.map(Box::new)))
     }
 
     fn move_keyframes(&mut self, moves: &Moves) -> Result<(), MapperGone> {
