@@ -18,6 +18,12 @@ const FIRST_DAMPING: f64 = 1e-6;
 const MIN_DAMPING: f64 = 1e-12;
 const DAMPING_FACTOR: f64 = 10.0;
 
+/// Steps of plain least squares, with all robust edges: false ones need more.
+const MAX_PLAIN_STEPS: usize = 10;
+
+/// Poses need not be exact while weights still change.
+const STEPS_PER_SURROGATE: usize = 1;
+
 /// When to stop and what to reject.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct OptimizeSettings {
@@ -70,28 +76,27 @@ pub fn optimize(
 ) -> Result<Optimized, GraphError> {
     check(poses, settings)?;
     let mut problem = Problem::new(poses, edges);
+    let start = problem.poses.clone();
     let cost_before = problem.truncated_cost(settings);
     if !cost_before.is_finite() {
         return Err(GraphError::CostOverflow { edges: edges.len() });
     }
-    let mut weights = vec![1.0; edges.len()];
-    let mut iterations = 0;
-    let mut converged = problem.minimize(&weights, settings, &mut iterations);
-    let largest = problem.robust_errors().fold(0.0, f64::max);
-    let mut truncation = Truncation::convex(largest, settings.max_squared_error);
-    while let Some(surrogate) = truncation {
-        let before = weights.clone();
-        for (edge, weight) in problem.edges.iter().zip(&mut weights) {
-            if edge.edge.kernel == Kernel::TruncatedQuadratic {
-                *weight = surrogate.weight(problem.squared_error(edge, &problem.poses));
-            }
-        }
-        let decided = weights.iter().all(|&weight| weight == 0.0 || weight == 1.0);
-        if decided && weights == before {
-            break;
-        }
-        converged = problem.minimize(&weights, settings, &mut iterations);
-        truncation = converged.then(|| surrogate.sharper());
+    let (mut weights, mut iterations) = (vec![1.0; edges.len()], 0);
+    let mut converged = problem.minimize(
+        &weights,
+        settings,
+        settings.max_iterations.min(MAX_PLAIN_STEPS),
+        &mut iterations,
+    );
+    let contradicted = problem
+        .robust_errors()
+        .any(|squared| squared > settings.max_squared_error);
+    if contradicted || (!converged && problem.robust_errors().next().is_some()) {
+        // What false loops bent is a worse start than the one that was given.
+        problem.poses.clone_from(&start);
+        converged = problem.minimize_truncated(settings, &mut weights, &mut iterations);
+    } else if !converged {
+        converged = problem.minimize(&weights, settings, settings.max_iterations, &mut iterations);
     }
     let corrections = poses.iter().zip(problem.corrections(poses));
     Ok(Optimized {
@@ -168,16 +173,50 @@ impl<'a> Problem<'a> {
         }
     }
 
-    /// Levenberg-Marquardt with fixed weights. Whether it converged.
+    /// Graduated non-convexity: weights and poses by turns. Whether both settled.
+    fn minimize_truncated(
+        &mut self,
+        settings: &OptimizeSettings,
+        weights: &mut Vec<f64>,
+        iterations: &mut usize,
+    ) -> bool {
+        let largest = self.robust_errors().fold(0.0, f64::max);
+        let mut surrogate = Truncation::convex(largest, settings.max_squared_error);
+        let mut converged = false;
+        loop {
+            let before = weights.clone();
+            for (placed, weight) in self.edges.iter().zip(&mut *weights) {
+                if placed.edge.kernel == Kernel::TruncatedQuadratic {
+                    *weight = surrogate.weight(self.squared_error(placed, &self.poses));
+                }
+            }
+            let decided = weights.iter().all(|&weight| weight == 0.0 || weight == 1.0);
+            let settled = decided && *weights == before && converged;
+            if settled || *iterations >= settings.max_iterations {
+                return settled;
+            }
+            let steps = if decided {
+                settings.max_iterations
+            } else {
+                STEPS_PER_SURROGATE
+            };
+            converged = self.minimize(weights, settings, steps, iterations);
+            surrogate = surrogate.sharper();
+        }
+    }
+
+    /// Levenberg-Marquardt with fixed weights, of at most `steps` steps. Whether it converged.
     fn minimize(
         &mut self,
         weights: &[f64],
         settings: &OptimizeSettings,
+        steps: usize,
         iterations: &mut usize,
     ) -> bool {
         let mut damping = FIRST_DAMPING;
         let mut cost = self.weighted_cost(weights, &self.poses);
-        while *iterations < settings.max_iterations {
+        let last = (*iterations + steps).min(settings.max_iterations);
+        while *iterations < last {
             *iterations += 1;
             let Some(steps) = self.linearize(weights).solve(damping) else {
                 damping *= DAMPING_FACTOR;

@@ -3,15 +3,14 @@
 //!
 //! Why not Cauchy: a false loop keeps pulling. Why not Geman-McClure: true loops count less too, and
 //! from a drifted start, like dynamic covariance scaling, it rejects the loops that would correct
-//! the drift. Here the first problem is convex, and what is left at the end counts fully or not at
-//! all: the result is that of least squares without the rejected edges.
+//! the drift. What is left here at the end counts fully or not at all: the result is that of least
+//! squares without the rejected edges.
 
-/// Growth of the control parameter from one problem to the next, the authors' choice. Faster growth
-/// rejects more true edges where a third of them are false.
+/// Growth of the control parameter from one surrogate to the next: the authors' choice.
 const GROWTH: f64 = 1.4;
 
 /// From here on the surrogate's weights are rounded to 0 and 1.
-const LAST_CONTROL: f64 = 1e4;
+const LAST_CONTROL: f64 = 16.0;
 
 /// The surrogate of the truncated quadratic, from convex (0) to exact (infinity).
 #[derive(Clone, Copy, Debug)]
@@ -21,12 +20,13 @@ pub struct Truncation {
 }
 
 impl Truncation {
-    /// The convex surrogate for errors up to `largest`; `None` if none needs to be truncated.
-    pub fn convex(largest: f64, max_squared: f64) -> Option<Self> {
-        (largest > max_squared).then(|| Self {
+    /// The surrogate that is convex for errors up to `largest`.
+    pub fn convex(largest: f64, max_squared: f64) -> Self {
+        let largest = largest.max(2.0 * max_squared);
+        Self {
             control: max_squared / (2.0 * largest - max_squared),
             max_squared,
-        })
+        }
     }
 
     /// The next, less convex surrogate.
@@ -65,7 +65,7 @@ mod tests {
     /// Black and Rangarajan's duality, searched by brute force.
     #[test]
     fn weights_minimise_the_penalised_cost() {
-        let mut truncation = Truncation::convex(1e3, 4.0).unwrap();
+        let mut truncation = Truncation::convex(1e3, 4.0);
         while truncation.control < LAST_CONTROL {
             let control = truncation.control;
             for ratio in [1e-3, 0.1, 0.7, 0.99, 1.01, 1.5, 3.0, 40.0, 250.0, 1e4] {
@@ -81,6 +81,5 @@ mod tests {
         }
         assert_eq!(truncation.weight(4.0), 1.0);
         assert_eq!(truncation.weight(4.001), 0.0);
-        assert!(Truncation::convex(4.0, 4.0).is_none());
     }
 }
