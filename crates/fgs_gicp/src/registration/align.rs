@@ -134,6 +134,7 @@ fn align_all(
                 rms_residual_m: (system.squared_residual / system.weight).sqrt(),
                 conditioning,
                 hessian,
+                residual_variance: system.cost / (system.weight - 6.0).max(1.0),
             });
         }
     }
@@ -249,3 +250,7 @@ fn extent(source: &[Point]) -> (Vector3<f64>, f64) {
 #[cfg(test)]
 #[path = "align_tests.rs"]
 mod tests;
+
+#[cfg(test)]
+#[path = "information_tests.rs"]
+mod information_tests;

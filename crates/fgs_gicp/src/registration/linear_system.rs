@@ -24,6 +24,8 @@ pub struct LinearSystem {
     pub weight: f64,
     /// Weighted sum of squared residuals along the pairs' normals, square metres.
     pub squared_residual: f64,
+    /// Weighted sum of the pairs' costs `e^T M e`.
+    pub cost: f64,
 }
 
 impl LinearSystem {
@@ -37,6 +39,7 @@ impl LinearSystem {
             pairs: 0,
             weight: 0.0,
             squared_residual: 0.0,
+            cost: 0.0,
         }
     }
 
@@ -69,6 +72,7 @@ impl LinearSystem {
         self.pairs += 1;
         self.weight += weight;
         self.squared_residual += weight * squared_residual;
+        self.cost += information.trace() * squared_residual;
     }
 }
 
@@ -88,5 +92,6 @@ impl AddAssign<&Self> for LinearSystem {
         self.pairs += other.pairs;
         self.weight += other.weight;
         self.squared_residual += other.squared_residual;
+        self.cost += other.cost;
     }
 }

@@ -39,6 +39,7 @@ struct Sums {
     pairs: Lanes,
     weight: Lanes,
     squared_residual: Lanes,
+    cost: Lanes,
 }
 
 impl PairBatch {
@@ -96,6 +97,7 @@ impl PairBatch {
             pairs: sum(&sums.pairs) as usize,
             weight: sum(&sums.weight),
             squared_residual: sum(&sums.squared_residual),
+            cost: sum(&sums.cost),
         }
     }
 
@@ -213,6 +215,7 @@ impl PairBatch {
             sums.pairs[lane] += counts[lane];
             sums.weight[lane] += weight;
             sums.squared_residual[lane] += weight * squared[lane];
+            sums.cost[lane] += (xx + yy + zz) * squared[lane];
         }
         self.filled = 0;
         // Without covariances a lane has no information, wherever its points are.
@@ -276,6 +279,7 @@ mod tests {
             let near = |a: f64, b: f64| (a - b).abs() <= 1e-9 * b.abs();
             assert!(near(system.weight, expected.weight));
             assert!(near(system.squared_residual, expected.squared_residual));
+            assert!(near(system.cost, expected.cost));
             let hessian = expected.hessian();
             assert!((system.hessian() - hessian).amax() <= 1e-9 * hessian.amax());
             let gradient = &expected.gradient;
