@@ -7,6 +7,7 @@ use thiserror::Error;
 
 /// Why a recording, one of its frames, a camera file or a trajectory file is refused.
 #[derive(Debug, Error)]
+#[non_exhaustive]
 pub enum DataError {
     /// The operating system refused.
     #[error("{}: {source}", path.display())]

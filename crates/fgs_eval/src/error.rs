@@ -4,6 +4,7 @@ use thiserror::Error;
 
 /// Why something cannot be evaluated.
 #[derive(Clone, Debug, Error, PartialEq)]
+#[non_exhaustive]
 pub enum EvalError {
     /// Estimated and reference poses do not pair up.
     #[error("{estimated} estimated poses cannot be compared with {reference} reference poses")]

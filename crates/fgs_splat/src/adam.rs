@@ -69,6 +69,7 @@ impl Default for LearningRates {
 
 /// Why no step was made.
 #[derive(Debug, Error, PartialEq, Eq)]
+#[non_exhaustive]
 pub enum AdamError {
     /// The state is for another number of gaussians, or gradients are missing.
     #[error(

@@ -84,6 +84,7 @@ pub struct ModelSettings {
 
 /// Why a model refuses a call.
 #[derive(Debug, Error, PartialEq)]
+#[non_exhaustive]
 pub enum ModelError {
     /// The view was never registered or has been dropped.
     #[error("there is no view {0:?}")]

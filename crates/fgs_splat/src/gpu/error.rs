@@ -6,6 +6,7 @@ use thiserror::Error;
 
 /// Why a graphics device cannot compute.
 #[derive(Clone, Debug, Error, PartialEq)]
+#[non_exhaustive]
 pub enum GpuError {
     /// There is no device that may be used. What is known of it, or nothing.
     #[error("no graphics device was found{}", after_colon(.0))]
