@@ -82,6 +82,7 @@ impl LearningRates {
 
 /// Why no step was made.
 #[derive(Debug, Error, PartialEq, Eq)]
+#[non_exhaustive]
 pub enum AdamError {
     /// The state is for another number of gaussians, or gradients are missing.
     #[error(

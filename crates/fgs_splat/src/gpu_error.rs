@@ -7,6 +7,7 @@ use thiserror::Error;
 
 /// Why a graphics device cannot compute.
 #[derive(Clone, Debug, Error, PartialEq)]
+#[non_exhaustive]
 pub enum GpuError {
     /// There is no usable device. Details, or empty.
     #[error("no graphics device was found{}", after_colon(.0))]

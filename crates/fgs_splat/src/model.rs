@@ -59,6 +59,7 @@ pub struct ModelSettings {
 
 /// Why a model refuses a call.
 #[derive(Debug, Error, PartialEq)]
+#[non_exhaustive]
 pub enum ModelError {
     /// The keyframe has no view: none was ever added, or it was dropped.
     #[error("keyframe {} has no view", .0.0)]

@@ -30,6 +30,7 @@ const MAX_HEADER_BYTES: u64 = 1 << 20;
 
 /// Why a PLY file was not read or written.
 #[derive(Debug, Error)]
+#[non_exhaustive]
 pub enum PlyError {
     /// The file cannot be opened, read or written.
     #[error("{}: {source}", path.display())]

@@ -25,6 +25,7 @@ const JPEG_QUALITY: u8 = 95;
 
 /// Why a recording was not written. Nothing is left behind.
 #[derive(Debug, Error)]
+#[non_exhaustive]
 pub enum SynthError {
     /// Existing files are never touched.
     #[error("{} exists already", path.display())]

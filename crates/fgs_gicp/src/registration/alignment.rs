@@ -88,6 +88,7 @@ impl Conditioning {
 
 /// Why there is no alignment.
 #[derive(Clone, Debug, Error, PartialEq)]
+#[non_exhaustive]
 pub enum AlignError {
     /// No source points.
     #[error("the source has no points")]

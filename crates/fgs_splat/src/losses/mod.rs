@@ -183,6 +183,7 @@ pub struct ImageLoss {
 
 /// Why there is no loss.
 #[derive(Debug, Error, PartialEq)]
+#[non_exhaustive]
 pub enum LossError {
     /// Two images that belong together differ in size.
     #[error(
