@@ -2,8 +2,8 @@
 //!
 //! In: a colour or grey image. Out: the mask `M_h` of the pixels whose high-frequency response
 //! stands out; `M_l` is its complement. Steps: grey, reflected border, optional local equalisation
-//! ([`clahe`]), gaussian [`high_pass`], absolute value, [`triangle`] threshold. Pixels that the
-//! camera did not see make no detail: see [`unseen`].
+//! (`clahe`), gaussian `high_pass`, absolute value, `triangle` threshold. Pixels that the camera did
+//! not see make no detail: see `unseen`.
 //! Differs from the paper: the equalisation is a choice; the filter keeps zero frequency in bin 0
 //! instead of shifting the spectrum to and fro, which is wrong for odd sizes.
 
