@@ -250,7 +250,7 @@ mod tests {
 
     #[test]
     fn what_is_written_is_read() {
-        let assignments = ["mapping.prune_opacity=0.3".to_owned()];
+        let assignments = ["seeding.min_alpha=0.3".to_owned()];
         let mut settings = Settings::load(None, &assignments).unwrap();
         settings.run = RunSettings {
             command: Some("fgs run \"a b\"".into()),
@@ -262,7 +262,7 @@ mod tests {
             commit: Some("unknown".into()),
         };
         let text = settings.to_toml().unwrap();
-        assert!(text.contains("prune_opacity = 0.3\n"), "{text}");
+        assert!(text.contains("min_alpha = 0.3\n"), "{text}");
         assert_eq!(read(&text).unwrap(), settings);
     }
 
