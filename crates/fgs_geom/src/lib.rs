@@ -8,10 +8,12 @@ mod camera;
 mod distortion;
 mod frame;
 mod image;
+mod instructions;
 mod se3;
 
 pub use camera::{Camera, CameraError, Intrinsics, View};
 pub use distortion::{Distortion, UndistortionMap};
 pub use frame::{FrameIndex, KeyframeId, RgbdFrame, has_depth};
 pub use image::{Image, ImageSizeError};
+pub use instructions::{Instructions, InstructionsError, Kernel, dispatch};
 pub use se3::{Se3, skew};
