@@ -23,6 +23,7 @@ mod vulkan_layer;
 use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
+use fgs_geom::Instructions;
 
 /// RGB-D SLAM: turns a recording of colour and depth into the camera's trajectory and a map of gaussians.
 #[derive(Parser)]
@@ -35,6 +36,14 @@ Start here:
   fgs run recordings/desk --eval  your own recording; `fgs run --help` says how it is laid out"
 )]
 struct Cli {
+    /// Compute with this instruction set, not the widest: to measure what others are worth
+    #[arg(
+        long,
+        global = true,
+        hide = true,
+        value_name = "avx512|avx2|neon|plain"
+    )]
+    instructions: Option<Instructions>,
     #[command(subcommand)]
     command: Command,
 }
@@ -53,7 +62,12 @@ enum Command {
 fn main() -> ExitCode {
     memory::keep_large_arrays_apart();
     vulkan_layer::leave_out_without_desktop();
-    let outcome = match Cli::parse().command {
+    let cli = Cli::parse();
+    if let Some(Err(error)) = cli.instructions.map(Instructions::choose) {
+        eprintln!("error: {error}");
+        return failure::EXIT_USAGE.into();
+    }
+    let outcome = match cli.command {
         Command::Doctor(args) => doctor::run(&args),
         Command::Run(args) => run::run(&args),
         Command::Eval(args) => eval::run(&args),

@@ -9,6 +9,7 @@ mod depth;
 mod distortion;
 mod frame;
 mod image;
+mod instructions;
 mod se3;
 
 pub use camera::{Camera, CameraError, Intrinsics, View};
@@ -16,4 +17,5 @@ pub use depth::{depth_from_raw, has_depth};
 pub use distortion::{Distortion, UndistortionMap};
 pub use frame::{FrameError, FrameIndex, KeyframeId, RgbdFrame};
 pub use image::{Image, ImageSizeError};
+pub use instructions::{Instructions, InstructionsError, Kernel, dispatch};
 pub use se3::{Se3, skew};

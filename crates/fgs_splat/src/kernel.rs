@@ -1,48 +1,26 @@
-//! Runs a kernel with the widest instructions that the machine has, chosen when the program runs.
+//! Runs a kernel with the instructions that this process uses, see [`fgs_geom::Instructions`].
 //!
-//! A kernel is plain code over arrays of lanes, compiled once for each instruction set. Its
-//! multiply-adds are fused where the machine fuses them: elsewhere they would be library calls. So
-//! bits may differ from one kind of machine to another, but not on one machine.
+//! Multiply-adds are fused where the processor fuses them: elsewhere they would be library calls.
 
-use pulp::{Arch, NullaryFnOnce};
+pub(crate) use fgs_geom::Kernel;
 
 use crate::Real;
 
-/// Work that is compiled for each instruction set.
-pub(crate) trait Kernel {
-    type Output;
-
-    /// Does the work. Everything it calls must be `#[inline(always)]`.
-    fn run<const FUSED: bool>(self) -> Self::Output;
-}
-
 #[cfg(test)]
 thread_local! {
-    /// Lets a test's thread compute as a machine without wide registers does.
-    pub(crate) static PLAIN: std::cell::Cell<bool> = const { std::cell::Cell::new(false) };
+    /// Lets the kernels of a test's thread run on another instruction set.
+    pub(crate) static ONLY: std::cell::Cell<Option<fgs_geom::Instructions>> =
+        const { std::cell::Cell::new(None) };
 }
 
 /// Runs a kernel.
 pub(crate) fn dispatch<K: Kernel>(kernel: K) -> K::Output {
     #[cfg(test)]
-    if PLAIN.get() {
-        return kernel.run::<false>();
+    #[allow(clippy::unwrap_used, reason = "a test chooses what there is")]
+    if let Some(set) = ONLY.get() {
+        return set.run(kernel).unwrap();
     }
-    match Arch::new() {
-        Arch::Scalar => kernel.run::<false>(),
-        arch => arch.dispatch(Fused(kernel)),
-    }
-}
-
-struct Fused<K>(K);
-
-impl<K: Kernel> NullaryFnOnce for Fused<K> {
-    type Output = K::Output;
-
-    #[inline(always)]
-    fn call(self) -> K::Output {
-        self.0.run::<true>()
-    }
+    fgs_geom::dispatch(kernel)
 }
 
 /// a b + c.

@@ -1,14 +1,15 @@
 //! Every stage of the system on the CPU, with one thread and with two.
 
 use anyhow::Context;
+use fgs_geom::Instructions;
 use serde::Serialize;
 
+use super::baseline::StageTime;
 use super::input::Input;
 use super::machine::Rates;
 use super::stage::{Stage, Times};
 use super::{decoding, mapping, tracking};
 use crate::console::Console;
-use crate::failure::EXIT_DONE;
 
 /// One line of the table.
 #[derive(Serialize)]
@@ -17,20 +18,28 @@ struct Row<'a> {
     stage: &'a str,
     work: &'a str,
     threads: usize,
+    instructions: &'static str,
     median_ms: f64,
     best_ms: f64,
     floor_ms: f64,
 }
 
-/// Times all inputs, mapping with each of the numbers of gaussians.
+/// Times all inputs, mapping with each of the numbers of gaussians; returns the times.
 ///
 /// # Errors
 /// If a stage gives a wrong result.
-pub fn run(inputs: &[Input], numbers: &[usize], console: Console) -> anyhow::Result<u8> {
+pub fn run(
+    inputs: &[Input],
+    numbers: &[usize],
+    console: Console,
+) -> anyhow::Result<Vec<StageTime>> {
     let pools = [1, 2].map(|threads| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build();
         pool.with_context(|| format!("cannot start {threads} threads"))
     });
+    let instructions = Instructions::in_use();
+    console.say(format!("instructions: {instructions}"));
+    let mut times = Vec::new();
     let [one, two] = pools;
     let pools = [one?, two?];
     let rates = [Rates::measure(&pools[0]), Rates::measure(&pools[1])];
@@ -65,6 +74,7 @@ pub fn run(inputs: &[Input], numbers: &[usize], console: Console) -> anyhow::Res
                     stage: name,
                     work: &work,
                     threads: pool.current_num_threads(),
+                    instructions: instructions.name(),
                     median_ms,
                     best_ms,
                     floor_ms: rates.floor_ms(bytes, flops),
@@ -80,6 +90,13 @@ pub fn run(inputs: &[Input], numbers: &[usize], console: Console) -> anyhow::Res
                     row.floor_ms
                 ));
                 console.event("stage", &row);
+                times.push(StageTime {
+                    input: input.name.clone(),
+                    stage: name.to_owned(),
+                    work: work.clone(),
+                    threads: row.threads,
+                    best_ms,
+                });
             }
             Ok(())
         };
@@ -89,5 +106,5 @@ pub fn run(inputs: &[Input], numbers: &[usize], console: Console) -> anyhow::Res
             mapping::bench(input, count, &mut bench)?;
         }
     }
-    Ok(EXIT_DONE)
+    Ok(times)
 }

@@ -3,7 +3,7 @@
 use std::hint::black_box;
 use std::time::Instant;
 
-use pulp::{Arch, Simd, WithSimd};
+use fgs_geom::{Kernel, dispatch};
 use rayon::prelude::*;
 use serde::Serialize;
 
@@ -39,10 +39,7 @@ impl Rates {
         });
         let mut lanes = 0;
         let flop_secs = best_secs(|| {
-            lanes = pool
-                .broadcast(|_| Arch::new().dispatch(MultiplyAdds))
-                .iter()
-                .sum();
+            lanes = pool.broadcast(|_| dispatch(MultiplyAdds)).iter().sum();
         });
         Self {
             threads,
@@ -66,25 +63,24 @@ fn best_secs(mut run: impl FnMut()) -> f64 {
     times.fold(f64::INFINITY, f64::min)
 }
 
-/// Multiply-adds in the widest registers; returns how many numbers one holds.
+/// Multiply-adds on independent sums; returns how many numbers each holds.
 struct MultiplyAdds;
 
-impl WithSimd for MultiplyAdds {
+impl Kernel for MultiplyAdds {
     type Output = usize;
 
     #[inline(always)]
-    fn with_simd<S: Simd>(self, simd: S) -> usize {
-        let (a, b) = (
-            simd.splat_f32s(black_box(0.999)),
-            simd.splat_f32s(black_box(1e-3)),
-        );
-        let mut sums = [simd.splat_f32s(0.0); CHAINS];
+    fn run<const FUSED: bool, const WIDTH: usize>(self) -> usize {
+        let (a, b) = (black_box(0.999_f32), black_box(1e-3_f32));
+        let mut sums = [[0.0_f32; WIDTH]; CHAINS];
         for _ in 0..MULTIPLY_ADDS {
             for sum in &mut sums {
-                *sum = simd.mul_add_f32s(*sum, a, b);
+                for x in sum.iter_mut() {
+                    *x = if FUSED { x.mul_add(a, b) } else { *x * a + b };
+                }
             }
         }
-        black_box(sums.map(|sum| simd.reduce_sum_f32s(sum)));
-        size_of::<S::f32s>() / size_of::<f32>()
+        black_box(sums);
+        WIDTH
     }
 }

@@ -5,6 +5,7 @@
 //! measured in the same run. `cpu` times the whole system on the CPU, `gpu` the optimisation step on
 //! a graphics device.
 
+mod baseline;
 mod cpu;
 mod decoding;
 mod gpu;
@@ -21,7 +22,9 @@ use std::path::PathBuf;
 use clap::{Args, ValueEnum};
 
 use crate::console::Console;
+use crate::failure::{EXIT_DONE, UsageError};
 use crate::image_size::ImageSize;
+use baseline::Baseline;
 use input::Input;
 
 /// Time every stage of the system on this machine
@@ -35,6 +38,8 @@ use input::Input;
 Examples:
   fgs bench                          synthetic rooms of 640x480 and 1200x680
   fgs bench recordings/desk --json   frames of a recording with known poses, decoding included
+  fgs bench --instructions avx2      as a processor without AVX-512 computes (also neon, plain)
+  fgs bench --save-baseline before.json, then fgs bench --baseline before.json   what got slower
   fgs bench --backend gpu            steps of 100k, 500k and 2M gaussians at 1200x680
   fgs bench --backend gpu --size 320x240 --gaussians 20000   small enough for a device in software")]
 pub struct BenchArgs {
@@ -58,6 +63,12 @@ pub struct BenchArgs {
     /// Camera file for recordings that have none
     #[arg(long, value_name = "FILE")]
     camera: Option<PathBuf>,
+    /// Compare with the times in this file, of the same machine: says what got slower
+    #[arg(long, value_name = "FILE")]
+    baseline: Option<PathBuf>,
+    /// Keep the times in this file
+    #[arg(long, value_name = "FILE")]
+    save_baseline: Option<PathBuf>,
     /// One JSON object a line instead of text
     #[arg(long)]
     json: bool,
@@ -81,17 +92,34 @@ enum Timed {
 pub fn run(args: &BenchArgs) -> anyhow::Result<u8> {
     let console = Console::new(args.json);
     match args.backend {
-        Timed::Cpu => cpu::run(
-            &inputs(args, &[(640, 480), (1200, 680)])?,
-            &numbers(args, &[100_000]),
-            console,
-        ),
+        Timed::Cpu => time_cpu(args, console),
+        Timed::Gpu if args.baseline.is_some() || args.save_baseline.is_some() => {
+            Err(UsageError("baselines are of the CPU".to_owned()).into())
+        }
         Timed::Gpu => gpu::run(
             &inputs(args, &[(1200, 680)])?,
             &numbers(args, &[100_000, 500_000, 2_000_000]),
             console,
         ),
     }
+}
+
+fn time_cpu(args: &BenchArgs, console: Console) -> anyhow::Result<u8> {
+    // Before the minutes of timing: a file that cannot be used is said at once.
+    let baseline = args.baseline.as_deref().map(Baseline::read).transpose()?;
+    let stages = cpu::run(
+        &inputs(args, &[(640, 480), (1200, 680)])?,
+        &numbers(args, &[100_000]),
+        console,
+    )?;
+    if let Some(baseline) = baseline {
+        baseline.compare(&stages, console);
+    }
+    if let Some(path) = &args.save_baseline {
+        let here = Baseline::of_this_machine();
+        Baseline { stages, ..here }.write(path)?;
+    }
+    Ok(EXIT_DONE)
 }
 
 fn numbers(args: &BenchArgs, default: &[u32]) -> Vec<usize> {

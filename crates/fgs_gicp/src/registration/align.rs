@@ -7,9 +7,8 @@
 //! linearisation holds.
 //! Invariant: the result is the same, bit for bit, for any number of threads.
 
-use fgs_geom::Se3;
+use fgs_geom::{Se3, dispatch};
 use nalgebra::{Matrix3, Vector3};
-use pulp::NullaryFnOnce;
 use rayon::prelude::*;
 
 use crate::registration::pair_batch::PairBatch;
@@ -189,7 +188,7 @@ fn linearize_chunk(
     settings: &Settings,
     nearest: &mut [LastingNearest],
 ) -> LinearSystem {
-    pulp::Arch::new().dispatch(LinearizeChunk {
+    dispatch(LinearizeChunk {
         source,
         target,
         rotation,
@@ -209,11 +208,11 @@ struct LinearizeChunk<'a> {
     nearest: &'a mut [LastingNearest],
 }
 
-impl NullaryFnOnce for LinearizeChunk<'_> {
+impl fgs_geom::Kernel for LinearizeChunk<'_> {
     type Output = LinearSystem;
 
     #[inline(always)]
-    fn call(self) -> LinearSystem {
+    fn run<const FUSED: bool, const WIDTH: usize>(self) -> LinearSystem {
         let max_distance_m = self.settings.max_correspondence_distance_m;
         let margin_m = MARGIN * max_distance_m;
         for (point, nearest) in self.source.iter().zip(&mut *self.nearest) {
@@ -225,7 +224,21 @@ impl NullaryFnOnce for LinearizeChunk<'_> {
                     .lasting_nearest(&query, max_distance_m, margin_m);
             }
         }
-        let mut batch = PairBatch::new(self.rotation, self.translation, self.settings.kernel);
+        // Half as many f64 as f32; constants cannot be computed from others here.
+        if WIDTH == 16 {
+            self.sum::<8>()
+        } else {
+            self.sum::<4>()
+        }
+    }
+}
+
+impl LinearizeChunk<'_> {
+    /// Sums the pairs up, `LANES` at a time.
+    #[inline(always)]
+    fn sum<const LANES: usize>(self) -> LinearSystem {
+        let mut batch =
+            PairBatch::<LANES>::new(self.rotation, self.translation, self.settings.kernel);
         for (point, nearest) in self.source.iter().zip(self.nearest) {
             if let Some(slot) = nearest.slot {
                 batch.push(point, self.target.point_in(slot));

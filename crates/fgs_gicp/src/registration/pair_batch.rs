@@ -1,48 +1,58 @@
-//! The normal equations of eight pairs side by side: the arithmetic of [`Factor`](super::Factor)
+//! The normal equations of several pairs side by side: the arithmetic of [`Factor`](super::Factor)
 //! and [`LinearSystem::add`], which it is tested against, one pair a lane.
 //!
 //! Invariant: lanes are summed in a fixed order, and there are no fused operations, so results do
-//! not depend on threads or on the processor's instruction set.
+//! not depend on threads, and on the instruction set only by the order of sums.
 
 use nalgebra::{Matrix3, Vector3, Vector6};
 
 use super::{Kernel, LinearSystem};
 use crate::Point;
 
-/// Pairs of a batch: the widest registers hold so many `f64`.
-const LANES: usize = 8;
-type Lanes = [f64; LANES];
-const ZERO: Lanes = [0.0; LANES];
-
 /// Pairs under one pose, gathered until they fill the lanes, and the sums over those before.
-pub(super) struct PairBatch {
+/// A register should hold `LANES` numbers.
+pub(super) struct PairBatch<const LANES: usize> {
     /// Row-major.
     rotation: [[f64; 3]; 3],
     translation: [f64; 3],
     kernel: Kernel,
     /// How many lanes hold a pair; the others are zero and so count for nothing.
     filled: usize,
-    p: [Lanes; 3],
-    q: [Lanes; 3],
-    source_covariance: [Lanes; 6],
-    target_covariance: [Lanes; 6],
-    sums: Sums,
+    p: [[f64; LANES]; 3],
+    q: [[f64; LANES]; 3],
+    source_covariance: [[f64; LANES]; 6],
+    target_covariance: [[f64; LANES]; 6],
+    sums: Sums<LANES>,
 }
 
 /// Symmetric matrices as xx, xy, xz, yy, yz, zz; the mixed block row by row.
-#[derive(Default)]
-struct Sums {
-    rotation: [Lanes; 6],
-    mixed: [Lanes; 9],
-    translation: [Lanes; 6],
-    gradient: [Lanes; 6],
-    pairs: Lanes,
-    weight: Lanes,
-    squared_residual: Lanes,
-    cost: Lanes,
+struct Sums<const LANES: usize> {
+    rotation: [[f64; LANES]; 6],
+    mixed: [[f64; LANES]; 9],
+    translation: [[f64; LANES]; 6],
+    gradient: [[f64; LANES]; 6],
+    pairs: [f64; LANES],
+    weight: [f64; LANES],
+    squared_residual: [f64; LANES],
+    cost: [f64; LANES],
 }
 
-impl PairBatch {
+impl<const LANES: usize> Sums<LANES> {
+    const ZERO: Self = Self {
+        rotation: [[0.0; LANES]; 6],
+        mixed: [[0.0; LANES]; 9],
+        translation: [[0.0; LANES]; 6],
+        gradient: [[0.0; LANES]; 6],
+        pairs: [0.0; LANES],
+        weight: [0.0; LANES],
+        squared_residual: [0.0; LANES],
+        cost: [0.0; LANES],
+    };
+}
+
+impl<const LANES: usize> PairBatch<LANES> {
+    const ZERO: [f64; LANES] = [0.0; LANES];
+
     pub fn new(rotation: &Matrix3<f64>, translation: &Vector3<f64>, kernel: Kernel) -> Self {
         Self {
             rotation: std::array::from_fn(|row| {
@@ -51,11 +61,11 @@ impl PairBatch {
             translation: (*translation).into(),
             kernel,
             filled: 0,
-            p: [ZERO; 3],
-            q: [ZERO; 3],
-            source_covariance: [ZERO; 6],
-            target_covariance: [ZERO; 6],
-            sums: Sums::default(),
+            p: [Self::ZERO; 3],
+            q: [Self::ZERO; 3],
+            source_covariance: [Self::ZERO; 6],
+            target_covariance: [Self::ZERO; 6],
+            sums: Sums::ZERO,
         }
     }
 
@@ -83,8 +93,8 @@ impl PairBatch {
         if self.filled > 0 {
             self.add_lanes();
         }
-        let sum = |lanes: &Lanes| lanes.iter().sum::<f64>();
-        let symmetric = |parts: &[Lanes; 6]| {
+        let sum = |lanes: &[f64; LANES]| lanes.iter().sum::<f64>();
+        let symmetric = |parts: &[[f64; LANES]; 6]| {
             let [xx, xy, xz, yy, yz, zz] = parts.each_ref().map(sum);
             Matrix3::new(xx, xy, xz, xy, yy, yz, xz, yz, zz)
         };
@@ -104,8 +114,8 @@ impl PairBatch {
     #[inline(always)]
     fn add_lanes(&mut self) {
         let r = &self.rotation;
-        let (mut e, mut m) = ([ZERO; 3], [ZERO; 6]);
-        let (mut counts, mut squared) = (ZERO, ZERO);
+        let (mut e, mut m) = ([Self::ZERO; 3], [Self::ZERO; 6]);
+        let (mut counts, mut squared) = (Self::ZERO, Self::ZERO);
         for lane in 0..LANES {
             // e = R^T (q - t) - p
             let d: [f64; 3] =
@@ -219,7 +229,7 @@ impl PairBatch {
         }
         self.filled = 0;
         // Without covariances a lane has no information, wherever its points are.
-        (self.source_covariance, self.target_covariance) = ([ZERO; 6], [ZERO; 6]);
+        (self.source_covariance, self.target_covariance) = ([Self::ZERO; 6], [Self::ZERO; 6]);
     }
 }
 
@@ -235,6 +245,11 @@ mod tests {
     /// Every number of filled lanes, pairs without an inverse among them, each kernel.
     #[test]
     fn equals_one_pair_after_the_other() {
+        equals::<4>();
+        equals::<8>();
+    }
+
+    fn equals<const LANES: usize>() {
         let mut rng = Pcg64Mcg::seed_from_u64(1);
         let pose = Se3::exp(&Vector6::new(0.9, -0.4, 0.3, 0.5, -1.0, 2.0));
         let rotation = pose.rotation.to_rotation_matrix().into_inner();
@@ -244,7 +259,7 @@ mod tests {
             Kernel::Huber { scale_m: 0.01 },
         ];
         for (count, kernel) in (1..=3 * LANES).zip(kernels.into_iter().cycle()) {
-            let mut batch = PairBatch::new(&rotation, &pose.translation, kernel);
+            let mut batch = PairBatch::<LANES>::new(&rotation, &pose.translation, kernel);
             let mut expected = LinearSystem::zero();
             for i in 0..count {
                 let mut vector = || Vector3::from_fn(|_, _| rng.random_range(-1.0..1.0));

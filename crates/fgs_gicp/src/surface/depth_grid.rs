@@ -6,9 +6,8 @@
 //! the best estimate on real sensors. Pixels across a depth step are left out.
 //! Invariant: a normal has unit length and faces the camera.
 
-use fgs_geom::{Camera, Image};
+use fgs_geom::{Camera, Image, Kernel, dispatch};
 use nalgebra::Vector3;
-use pulp::NullaryFnOnce;
 
 use super::plane_fit::{InverseDepthPlane, fit_planes};
 use crate::{Covariance, Point};
@@ -34,9 +33,6 @@ pub struct DepthGrid {
     /// The fit is refused when fewer than this share of the window's pixels lie on the surface.
     pub min_support: f64,
 }
-
-/// Pixels that are fitted side by side: the widest registers hold so many `f32`.
-const LANES: usize = 16;
 
 impl Default for DepthGrid {
     fn default() -> Self {
@@ -90,7 +86,7 @@ impl SurfacePoint {
 impl DepthGrid {
     /// The points with a reliable surface, row by row.
     pub fn surface_points(&self, depth_m: &Image<f32>, camera: &Camera) -> Vec<SurfacePoint> {
-        pulp::Arch::new().dispatch(AllPoints {
+        dispatch(AllPoints {
             grid: self,
             depth_m,
             camera,
@@ -145,11 +141,11 @@ struct AllPoints<'a> {
     camera: &'a Camera,
 }
 
-impl NullaryFnOnce for AllPoints<'_> {
+impl Kernel for AllPoints<'_> {
     type Output = Vec<SurfacePoint>;
 
     #[inline(always)]
-    fn call(self) -> Vec<SurfacePoint> {
+    fn run<const FUSED: bool, const WIDTH: usize>(self) -> Vec<SurfacePoint> {
         let Self {
             grid,
             depth_m,
@@ -161,9 +157,9 @@ impl NullaryFnOnce for AllPoints<'_> {
             depth_m.width().div_ceil(stride) * depth_m.height().div_ceil(stride),
         );
         for v in (first..depth_m.height()).step_by(stride) {
-            for first in (first..depth_m.width()).step_by(LANES * stride) {
+            for first in (first..depth_m.width()).step_by(WIDTH * stride) {
                 // Those beyond the image have no depth.
-                let columns: [usize; LANES] = std::array::from_fn(|i| first + i * stride);
+                let columns: [usize; WIDTH] = std::array::from_fn(|i| first + i * stride);
                 let planes = fit_planes(grid, depth_m, columns, v);
                 for (u, plane) in columns.into_iter().zip(planes) {
                     points

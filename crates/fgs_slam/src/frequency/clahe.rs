@@ -6,8 +6,7 @@
 
 use std::ops::Range;
 
-use fgs_geom::Image;
-use pulp::NullaryFnOnce;
+use fgs_geom::{Image, Kernel, dispatch};
 
 use super::border::{Border, reflect};
 use super::byte_from_float;
@@ -87,7 +86,7 @@ impl Equalizer {
             let rows = (top..top + height).map(|v| &self.extended.row(v)[left..left + width]);
             *table = clipped_equalization(histogram(rows), width * height);
         }
-        pulp::Arch::new().dispatch(Interpolation {
+        dispatch(Interpolation {
             equalizer: self,
             image,
         });
@@ -100,11 +99,11 @@ struct Interpolation<'a> {
     image: &'a mut Image<u8>,
 }
 
-impl NullaryFnOnce for Interpolation<'_> {
+impl Kernel for Interpolation<'_> {
     type Output = ();
 
     #[inline(always)]
-    fn call(self) {
+    fn run<const FUSED: bool, const WIDTH: usize>(self) {
         let Equalizer {
             columns,
             rows,

@@ -1,15 +1,14 @@
 //! Grey from RGB with the weights of ITU-R BT.601 (0.299, 0.587, 0.114) in fixed point, equal to
 //! OpenCV's RGB2GRAY on 8-bit images.
 
-use fgs_geom::Image;
-use pulp::NullaryFnOnce;
+use fgs_geom::{Image, Kernel, dispatch};
 
 /// The weights times 2^15. They add up to 2^15, so white stays 255.
 const WEIGHTS: [u32; 3] = [9798, 19235, 3735];
 
 /// 8-bit grey, rounded to nearest, of an image into one of the same size.
 pub(super) fn gray_from_color(color: &Image<[u8; 3]>, gray: &mut Image<u8>) {
-    pulp::Arch::new().dispatch(Weighting { color, gray });
+    dispatch(Weighting { color, gray });
 }
 
 /// The work, compiled for each instruction set.
@@ -18,11 +17,11 @@ struct Weighting<'a> {
     gray: &'a mut Image<u8>,
 }
 
-impl NullaryFnOnce for Weighting<'_> {
+impl Kernel for Weighting<'_> {
     type Output = ();
 
     #[inline(always)]
-    fn call(self) {
+    fn run<const FUSED: bool, const WIDTH: usize>(self) {
         for (gray, &[r, g, b]) in self.gray.data_mut().iter_mut().zip(self.color.data()) {
             let (r, g, b) = (u32::from(r), u32::from(g), u32::from(b));
             *gray = ((WEIGHTS[0] * r + WEIGHTS[1] * g + WEIGHTS[2] * b + (1 << 14)) >> 15) as u8;

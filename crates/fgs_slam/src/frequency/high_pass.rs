@@ -11,7 +11,6 @@
 use std::f64::consts::TAU;
 
 use fgs_geom::Image;
-use pulp::NullaryFnOnce;
 
 /// Half of the kernel's length in sigmas: beyond lie 6e-7 of its weight. With 4 (6e-5) the masks of
 /// drawn images, whose responses crowd at a few levels, can turn over.
@@ -69,7 +68,7 @@ impl HighPass {
     /// The filtered image without its border, row by row.
     pub fn apply(&mut self, image: &Image<u8>) -> &mut [f32] {
         debug_assert_eq!((image.width(), image.height()), (self.width, self.height));
-        pulp::Arch::new().dispatch(Convolution {
+        fgs_geom::dispatch(Convolution {
             filter: self,
             image,
         });
@@ -123,11 +122,11 @@ struct Convolution<'a> {
     image: &'a Image<u8>,
 }
 
-impl NullaryFnOnce for Convolution<'_> {
+impl fgs_geom::Kernel for Convolution<'_> {
     type Output = ();
 
     #[inline(always)]
-    fn call(self) {
+    fn run<const FUSED: bool, const WIDTH: usize>(self) {
         let HighPass {
             width,
             height,

@@ -1,6 +1,6 @@
 //! The response in 256 levels, as OpenCV's threshold takes it, and the mask of the high ones.
 
-use pulp::NullaryFnOnce;
+use fgs_geom::{Kernel, dispatch};
 
 use super::byte_from_float;
 
@@ -13,12 +13,12 @@ const MIN_RESPONSE_RANGE: f32 = 0.01;
 
 /// The absolute response (grey levels) scaled to 0..=255; all zero if it is constant.
 pub(super) fn scale_response(response: &[f32], levels: &mut [u8]) {
-    pulp::Arch::new().dispatch(Scaling { response, levels });
+    dispatch(Scaling { response, levels });
 }
 
 /// Marks the levels above a threshold.
 pub(super) fn mark_above(threshold: i32, levels: &[u8], mask: &mut [bool]) {
-    pulp::Arch::new().dispatch(Marking {
+    dispatch(Marking {
         threshold,
         levels,
         mask,
@@ -31,11 +31,11 @@ struct Scaling<'a> {
     levels: &'a mut [u8],
 }
 
-impl NullaryFnOnce for Scaling<'_> {
+impl Kernel for Scaling<'_> {
     type Output = ();
 
     #[inline(always)]
-    fn call(self) {
+    fn run<const FUSED: bool, const WIDTH: usize>(self) {
         let Self { response, levels } = self;
         // Lanes, so that there is no order to keep.
         let (mut min, mut max) = ([f32::INFINITY; LANES], [0.0; LANES]);
@@ -67,11 +67,11 @@ struct Marking<'a> {
     mask: &'a mut [bool],
 }
 
-impl NullaryFnOnce for Marking<'_> {
+impl Kernel for Marking<'_> {
     type Output = ();
 
     #[inline(always)]
-    fn call(self) {
+    fn run<const FUSED: bool, const WIDTH: usize>(self) {
         for (high, &level) in self.mask.iter_mut().zip(self.levels) {
             *high = i32::from(level) > self.threshold;
         }

@@ -7,7 +7,7 @@ use std::hint::black_box;
 use super::bounds::{BLOCKS, TileGrid};
 use super::chunks::Chunk;
 use super::forward::TileState;
-use super::lanes::{LANES, Lanes};
+use super::lanes::{LANES, Lanes, part, set_part};
 use super::project::{ScreenCamera, Splat};
 use super::project_vjp::{PixelSums, sum};
 use super::real::Real;
@@ -53,13 +53,13 @@ struct Block<T> {
 }
 
 /// Lane sums of one entry.
-type LaneSums<T> = [Lanes<T>; sum::OF_PIXELS];
+type LaneSums<T, const WIDTH: usize> = [[T; WIDTH]; sum::OF_PIXELS];
 
 impl<T: Real> Kernel for BlendTileVjp<'_, T> {
     type Output = ();
 
     #[inline(always)]
-    fn run<const FUSED: bool>(self) {
+    fn run<const FUSED: bool, const WIDTH: usize>(self) {
         let last = self.entries.len().saturating_sub(1) / BATCH * BATCH;
         prefetch_splats(&self.entries[last..], self.chunks);
         let pixels = TilePixels::new(self.tile, self.grid, self.camera);
@@ -84,9 +84,9 @@ impl<T: Real> Kernel for BlendTileVjp<'_, T> {
         });
 
         if any_depth {
-            self.walk::<FUSED, true>(&pixels, &mut blocks);
+            self.walk::<FUSED, WIDTH, true>(&pixels, &mut blocks);
         } else {
-            self.walk::<FUSED, false>(&pixels, &mut blocks);
+            self.walk::<FUSED, WIDTH, false>(&pixels, &mut blocks);
         }
     }
 }
@@ -95,7 +95,7 @@ impl<T: Real> BlendTileVjp<'_, T> {
     /// Walks over the list and writes its sums. Without `DEPTH` nothing depends on the depth: its
     /// sums stay 0.
     #[inline(always)]
-    fn walk<const FUSED: bool, const DEPTH: bool>(
+    fn walk<const FUSED: bool, const WIDTH: usize, const DEPTH: bool>(
         self,
         pixels: &TilePixels<T>,
         blocks: &mut [Block<T>; BLOCKS],
@@ -115,19 +115,22 @@ impl<T: Real> BlendTileVjp<'_, T> {
                     continue;
                 }
                 let position = (start + i) as u32;
-                let mut lane_sums = [[T::ZERO; LANES]; sum::OF_PIXELS];
+                let mut lane_sums = [[T::ZERO; WIDTH]; sum::OF_PIXELS];
                 let mut taken = entry.blocks;
                 while taken != 0 {
                     let block = taken.trailing_zeros() as usize % BLOCKS;
                     taken &= taken - 1;
-                    blend_block_vjp::<FUSED, DEPTH, T>(
-                        &batch[i],
-                        pixels,
-                        block,
-                        position,
-                        &mut blocks[block],
-                        &mut lane_sums,
-                    );
+                    for first in (0..LANES).step_by(WIDTH) {
+                        blend_part_vjp::<FUSED, WIDTH, DEPTH, T>(
+                            &batch[i],
+                            pixels,
+                            block,
+                            first,
+                            position,
+                            &mut blocks[block],
+                            &mut lane_sums,
+                        );
+                    }
                 }
                 for (quarters, lanes) in quarters[i].iter_mut().zip(&lane_sums).take(used_sums) {
                     *quarters = add_quarters(lanes);
@@ -156,19 +159,27 @@ impl<T: Real> BlendTileVjp<'_, T> {
 /// Sums of every fourth lane. The last step to a single sum is left for later, when these are no
 /// longer on their way to memory: reading them back at once would wait for that.
 #[inline(always)]
-fn add_quarters<T: Real>(lanes: &Lanes<T>) -> [T; 4] {
-    std::array::from_fn(|i| (lanes[i] + lanes[i + 4]) + (lanes[i + 8] + lanes[i + 12]))
+fn add_quarters<T: Real, const WIDTH: usize>(lanes: &[T; WIDTH]) -> [T; 4] {
+    std::array::from_fn(|i| {
+        let pair = |first: usize| lanes[first + i] + lanes[first + i + 4];
+        if WIDTH == 8 {
+            pair(0)
+        } else {
+            pair(0) + pair(8)
+        }
+    })
 }
 
-/// Walks over a splat, entry number `position` from 0, at the pixels of a block.
+/// Walks over a splat, entry number `position` from 0, at the pixels of a block from `first` on.
 #[inline(always)]
-fn blend_block_vjp<const FUSED: bool, const DEPTH: bool, T: Real>(
+fn blend_part_vjp<const FUSED: bool, const WIDTH: usize, const DEPTH: bool, T: Real>(
     splat: &Splat<T>,
     pixels: &TilePixels<T>,
     block: usize,
+    first: usize,
     position: u32,
     pixel: &mut Block<T>,
-    sums: &mut LaneSums<T>,
+    sums: &mut LaneSums<T, WIDTH>,
 ) {
     // A copy, so that a lane's choice between two fields is no conditional load.
     let splat = *splat;
@@ -176,12 +187,22 @@ fn blend_block_vjp<const FUSED: bool, const DEPTH: bool, T: Real>(
     let alpha_max = T::from_f64(ALPHA_MAX);
     let x = pixels.block_x[block] - splat.mean2d[0];
     let y = pixels.block_y[block] - splat.mean2d[1];
-    let min_n_ray = &pixels.min_n_ray[block];
-    for lane in 0..LANES {
-        let dx = x + pixels.lane_x[lane];
-        let dy = y + pixels.lane_y[lane];
+    let lane_x: [T; WIDTH] = part(&pixels.lane_x, first);
+    let lane_y: [T; WIDTH] = part(&pixels.lane_y, first);
+    let min_n_ray: [T; WIDTH] = part(&pixels.min_n_ray[block], first);
+    let d_red: [T; WIDTH] = part(&pixel.d_red, first);
+    let d_green: [T; WIDTH] = part(&pixel.d_green, first);
+    let d_blue: [T; WIDTH] = part(&pixel.d_blue, first);
+    let d_depth: [T; WIDTH] = part(&pixel.d_depth, first);
+    let d_alpha: [T; WIDTH] = part(&pixel.d_alpha, first);
+    let entries_used: [u32; WIDTH] = part(&pixel.entries_used, first);
+    let mut transmittances: [T; WIDTH] = part(&pixel.transmittance, first);
+    let mut behinds: [T; WIDTH] = part(&pixel.behind, first);
+    for lane in 0..WIDTH {
+        let dx = x + lane_x[lane];
+        let dy = y + lane_y[lane];
         let sample = Sample::new::<FUSED>(&splat, dx, dy, min_n_ray[lane]);
-        let took = (sample.alpha >= alpha_min) & (position < pixel.entries_used[lane]);
+        let took = (sample.alpha >= alpha_min) & (position < entries_used[lane]);
         let alpha = if took {
             sample.alpha.min(alpha_max)
         } else {
@@ -195,12 +216,12 @@ fn blend_block_vjp<const FUSED: bool, const DEPTH: bool, T: Real>(
         } else {
             (T::ONE / rest, T::ZERO)
         };
-        let before = pixel.transmittance[lane] * inverse_rest;
+        let before = transmittances[lane] * inverse_rest;
         let weight = before * alpha;
         // The loss's derivative by this entry's weight, all else equal.
-        let value = mul_add::<FUSED, T>(pixel.d_red[lane], splat.color[0], pixel.d_alpha[lane]);
-        let value = mul_add::<FUSED, T>(pixel.d_green[lane], splat.color[1], value);
-        let value = mul_add::<FUSED, T>(pixel.d_blue[lane], splat.color[2], value);
+        let value = mul_add::<FUSED, T>(d_red[lane], splat.color[0], d_alpha[lane]);
+        let value = mul_add::<FUSED, T>(d_green[lane], splat.color[1], value);
+        let value = mul_add::<FUSED, T>(d_blue[lane], splat.color[2], value);
         let value = if DEPTH {
             let plane_depth = splat.plane_offset * inverse_n_ray;
             let depth = if sample.on_plane {
@@ -208,22 +229,22 @@ fn blend_block_vjp<const FUSED: bool, const DEPTH: bool, T: Real>(
             } else {
                 splat.center_depth
             };
-            mul_add::<FUSED, T>(pixel.d_depth[lane], depth, value)
+            mul_add::<FUSED, T>(d_depth[lane], depth, value)
         } else {
             value
         };
         // d weight / d alpha = before; each weight behind scales with 1 - alpha.
-        let behind = pixel.behind[lane];
+        let behind = behinds[lane];
         let d_sample_alpha = mul_add::<FUSED, T>(before, value, -(behind * inverse_rest));
-        pixel.transmittance[lane] = before;
-        pixel.behind[lane] = mul_add::<FUSED, T>(weight, value, behind);
+        transmittances[lane] = before;
+        behinds[lane] = mul_add::<FUSED, T>(weight, value, behind);
 
         let mut add = |sum: usize, a: T, b: T| {
             sums[sum][lane] = mul_add::<FUSED, T>(a, b, sums[sum][lane]);
         };
-        add(sum::COLOR, weight, pixel.d_red[lane]);
-        add(sum::COLOR + 1, weight, pixel.d_green[lane]);
-        add(sum::COLOR + 2, weight, pixel.d_blue[lane]);
+        add(sum::COLOR, weight, d_red[lane]);
+        add(sum::COLOR + 1, weight, d_green[lane]);
+        add(sum::COLOR + 2, weight, d_blue[lane]);
 
         let free = took & (sample.alpha <= alpha_max);
         let g = if free {
@@ -241,7 +262,7 @@ fn blend_block_vjp<const FUSED: bool, const DEPTH: bool, T: Real>(
         sums[sum::GQ][lane] += gq;
 
         if DEPTH {
-            let h = weight * pixel.d_depth[lane];
+            let h = weight * d_depth[lane];
             let (h_plane, h_center) = if sample.on_plane {
                 (h, T::ZERO)
             } else {
@@ -256,4 +277,6 @@ fn blend_block_vjp<const FUSED: bool, const DEPTH: bool, T: Real>(
             sums[sum::HTT][lane] += htt;
         }
     }
+    set_part(&mut pixel.transmittance, first, transmittances);
+    set_part(&mut pixel.behind, first, behinds);
 }

@@ -3,7 +3,7 @@
 
 use super::bounds::{Support, TileGrid, Touch};
 use super::cull::Frustum;
-use super::lanes::{LANES, Lanes, column, set_column};
+use super::lanes::{column, set_column};
 use super::prefetch::prefetch;
 use super::project::{PARAMETERS, Parameters, Projection, SPLAT, ScreenCamera, Splat};
 use super::project_vjp::{PixelSums, SUMS, project_vjp, sum};
@@ -66,7 +66,7 @@ impl<T: Real> Kernel for ProjectChunk<'_, T> {
     type Output = ();
 
     #[inline(always)]
-    fn run<const FUSED: bool>(self) {
+    fn run<const FUSED: bool, const WIDTH: usize>(self) {
         let Chunk {
             in_view,
             visible,
@@ -86,12 +86,12 @@ impl<T: Real> Kernel for ProjectChunk<'_, T> {
             *self.chunk = Chunk::default();
             return;
         }
-        for indices in in_view.chunks(LANES) {
-            let parameters = load_parameters(self.gaussians, indices);
-            let mut lanes = [[T::ZERO; LANES]; SPLAT];
-            let mut supports = [Support::default(); LANES];
-            let mut drawn = [false; LANES];
-            for lane in 0..LANES {
+        for indices in in_view.chunks(WIDTH) {
+            let parameters = load_parameters::<WIDTH, T>(self.gaussians, indices);
+            let mut lanes = [[T::ZERO; WIDTH]; SPLAT];
+            let mut supports = [Support::default(); WIDTH];
+            let mut drawn = [false; WIDTH];
+            for lane in 0..WIDTH {
                 let parameters = Parameters::from_array(column(&parameters, lane));
                 let projection = Projection::new::<FUSED>(&parameters, self.camera);
                 let splat = projection.splat::<FUSED>(self.camera);
@@ -118,11 +118,14 @@ impl<T: Real> Kernel for ProjectChunk<'_, T> {
     }
 }
 
-/// The parameters of up to 16 gaussians, side by side.
+/// The parameters of up to `WIDTH` gaussians, side by side.
 #[inline(always)]
-fn load_parameters<T: Real>(gaussians: &Gaussians<T>, indices: &[u32]) -> [Lanes<T>; PARAMETERS] {
-    let mut lanes = [[T::ZERO; LANES]; PARAMETERS];
-    for (lane, &index) in indices.iter().enumerate().take(LANES) {
+fn load_parameters<const WIDTH: usize, T: Real>(
+    gaussians: &Gaussians<T>,
+    indices: &[u32],
+) -> [[T; WIDTH]; PARAMETERS] {
+    let mut lanes = [[T::ZERO; WIDTH]; PARAMETERS];
+    for (lane, &index) in indices.iter().enumerate().take(WIDTH) {
         let parameters = Parameters::of(gaussians, index as usize);
         set_column(&mut lanes, lane, parameters.to_array());
     }
@@ -143,7 +146,7 @@ impl<T: Real> Kernel for ProjectChunkVjp<'_, T> {
     type Output = ();
 
     #[inline(always)]
-    fn run<const FUSED: bool>(self) {
+    fn run<const FUSED: bool, const WIDTH: usize>(self) {
         let Chunk {
             visible,
             slots,
@@ -154,18 +157,18 @@ impl<T: Real> Kernel for ProjectChunkVjp<'_, T> {
         chunk_gradients.gradients.clear();
         let mut start = 0;
         let mut prefetched = 0;
-        for batch in visible.chunks(LANES) {
-            let indices: Lanes<u32> =
+        for batch in visible.chunks(WIDTH) {
+            let indices: [u32; WIDTH] =
                 std::array::from_fn(|lane| batch.get(lane).map_or(0, |visible| visible.gaussian));
             let indices = &indices[..batch.len()];
-            let parameters = load_parameters(self.gaussians, indices);
+            let parameters = load_parameters::<WIDTH, T>(self.gaussians, indices);
             let end = batch.last().map_or(start, |last| last.touches_end as usize);
             let ahead = (end + PREFETCH).min(slots.len());
             for &slot in &slots[prefetched..ahead] {
                 prefetch(&self.sums[slot as usize]);
             }
             prefetched = ahead;
-            let mut sums = [[T::ZERO; LANES]; SUMS];
+            let mut sums = [[T::ZERO; WIDTH]; SUMS];
             for (lane, visible) in batch.iter().enumerate() {
                 let end = visible.touches_end as usize;
                 let mut total = PixelSums::default();
@@ -175,8 +178,8 @@ impl<T: Real> Kernel for ProjectChunkVjp<'_, T> {
                 start = end;
                 set_column(&mut sums, lane, total.0);
             }
-            let mut gradients = [[T::ZERO; LANES]; PARAMETERS];
-            for lane in 0..LANES {
+            let mut gradients = [[T::ZERO; WIDTH]; PARAMETERS];
+            for lane in 0..WIDTH {
                 let parameters = Parameters::from_array(column(&parameters, lane));
                 let projection = Projection::new::<FUSED>(&parameters, self.camera);
                 let gradient =

@@ -1,11 +1,11 @@
 //! Blends one tile's list front to back into colour, depth and transmittance, block by block of
-//! 16 lanes. A block whose pixels are all saturated takes no further gaussian, and a tile of such
-//! blocks ends its list. Some dozen entries are blended into one block, then into the next: what
-//! is known of a block's pixels stays in registers meanwhile.
+//! 16 pixels. A block whose pixels are all saturated takes no further gaussian, and a tile of such
+//! blocks ends its list. Some dozen entries are blended into one block, or into as much of it as
+//! registers hold, then into the next: what is known of its pixels stays in registers meanwhile.
 
 use super::bounds::{BLOCKS, BlockSet, TileGrid};
 use super::chunks::Chunk;
-use super::lanes::{LANES, Lanes};
+use super::lanes::{LANES, Lanes, part, set_part};
 use super::project::{ScreenCamera, Splat};
 use super::real::Real;
 use super::sample::{Sample, TilePixels};
@@ -48,25 +48,53 @@ pub(super) struct BlendTile<'a, T: Real> {
     pub alpha: &'a mut [T],
 }
 
-/// What the blending knows of a block's pixels.
+/// What the blending knows of a block's pixels, or of some of them.
 #[derive(Clone, Copy)]
-struct Block<T> {
-    red: Lanes<T>,
-    green: Lanes<T>,
-    blue: Lanes<T>,
-    depth: Lanes<T>,
+struct Block<T, const N: usize = LANES> {
+    red: [T; N],
+    green: [T; N],
+    blue: [T; N],
+    depth: [T; N],
     /// Product of all `1 - alpha` so far, also of gaussians that the pixel no longer takes: so one
     /// gaussian waits for the one before it no longer than a multiplication takes.
-    through: Lanes<T>,
-    transmittance: Lanes<T>,
-    entries_used: Lanes<u32>,
+    through: [T; N],
+    transmittance: [T; N],
+    entries_used: [u32; N],
+}
+
+impl<T: Real> Block<T> {
+    /// The pixels from `first` on.
+    #[inline(always)]
+    fn part<const WIDTH: usize>(&self, first: usize) -> Block<T, WIDTH> {
+        Block {
+            red: part(&self.red, first),
+            green: part(&self.green, first),
+            blue: part(&self.blue, first),
+            depth: part(&self.depth, first),
+            through: part(&self.through, first),
+            transmittance: part(&self.transmittance, first),
+            entries_used: part(&self.entries_used, first),
+        }
+    }
+
+    /// Puts the pixels from `first` on back.
+    #[inline(always)]
+    fn set_part<const WIDTH: usize>(&mut self, first: usize, pixels: Block<T, WIDTH>) {
+        set_part(&mut self.red, first, pixels.red);
+        set_part(&mut self.green, first, pixels.green);
+        set_part(&mut self.blue, first, pixels.blue);
+        set_part(&mut self.depth, first, pixels.depth);
+        set_part(&mut self.through, first, pixels.through);
+        set_part(&mut self.transmittance, first, pixels.transmittance);
+        set_part(&mut self.entries_used, first, pixels.entries_used);
+    }
 }
 
 impl<T: Real> Kernel for BlendTile<'_, T> {
     type Output = ();
 
     #[inline(always)]
-    fn run<const FUSED: bool>(self) {
+    fn run<const FUSED: bool, const WIDTH: usize>(self) {
         let grid = self.grid;
         prefetch_splats(self.entries, self.chunks);
         let pixels = TilePixels::new(self.tile, grid, self.camera);
@@ -100,21 +128,27 @@ impl<T: Real> Kernel for BlendTile<'_, T> {
                 if open_blocks & 1 << block == 0 {
                     continue;
                 }
-                let mut state = blocks[block];
-                let mut touching = touching[block];
-                while touching != 0 {
-                    let i = touching.trailing_zeros() as usize % BATCH;
-                    touching &= touching - 1;
-                    let number = (position + i) as u32 + 1;
-                    let outcome =
-                        blend_block::<FUSED, T>(&batch[i], &pixels, block, number, &mut state);
-                    hits[i] |= BlockSet::from(outcome.hit) << block;
-                    if !outcome.open {
-                        open_blocks &= !(1 << block);
-                        break;
+                let mut open = false;
+                for first in (0..LANES).step_by(WIDTH) {
+                    let mut state = blocks[block].part::<WIDTH>(first);
+                    let mut part_open = true;
+                    let mut touching = touching[block];
+                    while touching != 0 && part_open {
+                        let i = touching.trailing_zeros() as usize % BATCH;
+                        touching &= touching - 1;
+                        let number = (position + i) as u32 + 1;
+                        let outcome = blend_part::<FUSED, WIDTH, T>(
+                            &batch[i], &pixels, block, first, number, &mut state,
+                        );
+                        hits[i] |= BlockSet::from(outcome.hit) << block;
+                        part_open = outcome.open;
                     }
+                    blocks[block].set_part(first, state);
+                    open |= part_open;
                 }
-                blocks[block] = state;
+                if !open {
+                    open_blocks &= !(1 << block);
+                }
             }
             for (entry, hits) in entries.iter_mut().zip(hits) {
                 entry.blocks = hits;
@@ -148,7 +182,7 @@ fn transpose(entries: &[Entry]) -> [u32; BLOCKS] {
     by_block
 }
 
-/// What became of a block.
+/// What became of the pixels.
 struct Outcome {
     /// A pixel took the gaussian.
     hit: bool,
@@ -156,14 +190,15 @@ struct Outcome {
     open: bool,
 }
 
-/// Blends a splat, entry number `number` from 1, over a block.
+/// Blends a splat, entry number `number` from 1, over the pixels of a block from `first` on.
 #[inline(always)]
-fn blend_block<const FUSED: bool, T: Real>(
+fn blend_part<const FUSED: bool, const WIDTH: usize, T: Real>(
     splat: &Splat<T>,
     pixels: &TilePixels<T>,
     block: usize,
+    first: usize,
     number: u32,
-    pixel: &mut Block<T>,
+    pixel: &mut Block<T, WIDTH>,
 ) -> Outcome {
     // A copy, so that a lane's choice between two fields is no conditional load.
     let splat = *splat;
@@ -174,12 +209,14 @@ fn blend_block<const FUSED: bool, T: Real>(
     let through_min = T::from_f64(1e-30);
     let x = pixels.block_x[block] - splat.mean2d[0];
     let y = pixels.block_y[block] - splat.mean2d[1];
-    let min_n_ray = &pixels.min_n_ray[block];
-    let mut taken = [0_u32; LANES];
-    let mut open = [0_u32; LANES];
-    for lane in 0..LANES {
-        let dx = x + pixels.lane_x[lane];
-        let dy = y + pixels.lane_y[lane];
+    let lane_x: [T; WIDTH] = part(&pixels.lane_x, first);
+    let lane_y: [T; WIDTH] = part(&pixels.lane_y, first);
+    let min_n_ray: [T; WIDTH] = part(&pixels.min_n_ray[block], first);
+    let mut taken = [0_u32; WIDTH];
+    let mut open = [0_u32; WIDTH];
+    for lane in 0..WIDTH {
+        let dx = x + lane_x[lane];
+        let dy = y + lane_y[lane];
         let sample = Sample::new::<FUSED>(&splat, dx, dy, min_n_ray[lane]);
         let depth = if sample.on_plane {
             splat.plane_offset / sample.n_ray
@@ -208,7 +245,7 @@ fn blend_block<const FUSED: bool, T: Real>(
         open[lane] = u32::from(after >= transmittance_min);
     }
     Outcome {
-        hit: taken != [0; LANES],
-        open: open != [0; LANES],
+        hit: taken != [0; WIDTH],
+        open: open != [0; WIDTH],
     }
 }

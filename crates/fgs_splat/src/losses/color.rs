@@ -98,7 +98,7 @@ impl Kernel for StripLoss<'_> {
     type Output = ColorLoss;
 
     #[inline(always)]
-    fn run<const FUSED: bool>(self) -> ColorLoss {
+    fn run<const FUSED: bool, const WIDTH: usize>(self) -> ColorLoss {
         self.strip
             .load(self.color, self.target, self.masked, self.first_row);
         self.strip

@@ -1,6 +1,6 @@
 //! What must not change a render, and inputs that must not break it.
 
-use fgs_geom::{Se3, View};
+use fgs_geom::{Instructions, Se3, View};
 use nalgebra::{Quaternion, Vector3, Vector6};
 use rand::RngExt;
 
@@ -8,7 +8,7 @@ use super::gradients::{cotangents_to_f32, gradient_rows, random_cotangents, vjp}
 use super::scenes::{random_gaussians, random_view, rng, to_f32};
 use super::values::render;
 use crate::cpu::Rasterizer;
-use crate::kernel::PLAIN;
+use crate::kernel::ONLY;
 use crate::{GaussianGradients, Gaussians};
 
 fn permute(gaussians: &Gaussians<f64>, order: &[usize]) -> Gaussians<f64> {
@@ -151,30 +151,36 @@ fn any_number_of_threads_gives_the_same_bits() {
     assert_eq!([first, second], run(16));
 }
 
-/// Without fused multiply-adds and wide registers nothing changes but rounding.
+/// On every instruction set that this processor has the results differ by rounding only.
 #[test]
-fn plain_arithmetic_gives_the_same_but_for_rounding() {
+fn instruction_sets_agree_but_for_rounding() {
     let (gaussians, view) = scene(18);
     let gaussians = to_f32(&gaussians);
     let cotangents = cotangents_to_f32(&random_cotangents(&mut rng(19), &view));
-    let run = |plain: bool| {
+    let run = |set: Instructions| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build();
         pool.unwrap().install(|| {
-            PLAIN.set(plain);
+            ONLY.set(Some(set));
             let rows = gradient_rows(&vjp(&gaussians, &view, &cotangents), gaussians.len());
             let mut values = render(&gaussians, &view).color.data().concat();
             values.extend(rows.concat());
             values
         })
     };
-    let (plain, widest) = (run(true), run(false));
     let norm = |values: &mut dyn Iterator<Item = f32>| values.map(|x| x * x).sum::<f32>().sqrt();
+    let plain = run(Instructions::Plain);
     let size = norm(&mut plain.iter().copied());
-    let difference = norm(&mut plain.iter().zip(&widest).map(|(a, b)| a - b));
-    assert!(
-        size > 1.0 && difference <= 1e-5 * size,
-        "{difference} of {size}"
-    );
+    for set in Instructions::ALL
+        .into_iter()
+        .filter(|set| set.is_available())
+    {
+        let values = run(set);
+        let difference = norm(&mut plain.iter().zip(&values).map(|(a, b)| a - b));
+        assert!(
+            size > 1.0 && difference <= 1e-5 * size,
+            "{set}: {difference} of {size}"
+        );
+    }
 }
 
 #[test]
