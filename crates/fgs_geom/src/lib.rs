@@ -18,4 +18,4 @@ pub use distortion::{Distortion, UndistortionMap};
 pub use frame::{FrameError, FrameIndex, KeyframeId, RgbdFrame};
 pub use image::{Image, ImageSizeError};
 pub use instructions::{Instructions, InstructionsError, Kernel, dispatch};
-pub use se3::{Se3, skew};
+pub use se3::{Se3, inverse_left_jacobian, skew};

@@ -89,17 +89,7 @@ impl Se3 {
     /// The inverse of [`Se3::exp`], with the rotation vector's length in `[0, pi]`.
     pub fn log(&self) -> Vector6<f64> {
         let omega = self.rotation.scaled_axis();
-        let angle = omega.norm();
-        let c = if angle < SMALL_ANGLE {
-            1.0 / 12.0 + angle * angle / 720.0
-        } else {
-            let half = 0.5 * angle;
-            (1.0 - half * half.cos() / half.sin()) / (angle * angle)
-        };
-        let omega_hat = skew(&omega);
-        let inverse_left_jacobian =
-            Matrix3::identity() - 0.5 * omega_hat + c * omega_hat * omega_hat;
-        let v = inverse_left_jacobian * self.translation;
+        let v = inverse_left_jacobian(&omega) * self.translation;
         Vector6::new(omega.x, omega.y, omega.z, v.x, v.y, v.z)
     }
 
@@ -149,6 +139,19 @@ impl Mul for Se3 {
             self.rotation * other.translation + self.translation,
         )
     }
+}
+
+/// Inverse of the left Jacobian of SO(3) at the rotation vector `omega` (rad), [3, 3].
+pub fn inverse_left_jacobian(omega: &Vector3<f64>) -> Matrix3<f64> {
+    let angle = omega.norm();
+    let c = if angle < SMALL_ANGLE {
+        1.0 / 12.0 + angle * angle / 720.0
+    } else {
+        let half = 0.5 * angle;
+        (1.0 - half * half.cos() / half.sin()) / (angle * angle)
+    };
+    let omega_hat = skew(omega);
+    Matrix3::identity() - 0.5 * omega_hat + c * omega_hat * omega_hat
 }
 
 /// The skew-symmetric cross-product matrix: `skew(a) * b = a x b`.

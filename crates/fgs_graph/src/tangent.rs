@@ -3,7 +3,7 @@
 //! Equations: Barfoot, State Estimation for Robotics (2017), section 7.1, in our order of the
 //! tangent.
 
-use fgs_geom::{Se3, skew};
+use fgs_geom::{Se3, inverse_left_jacobian, skew};
 use nalgebra::{Matrix3, Matrix6, Vector3, Vector6};
 
 /// Below this angle (rad) the coefficients lose digits to cancellation and their Taylor series, cut
@@ -22,7 +22,7 @@ pub fn inverse_right_jacobian(tangent: &Vector6<f64>) -> Matrix6<f64> {
     // J_r(x) = J_l(-x)
     let omega: Vector3<f64> = -tangent.fixed_rows::<3>(0);
     let v: Vector3<f64> = -tangent.fixed_rows::<3>(3);
-    let inverse = inverse_left_jacobian_so3(&omega);
+    let inverse = inverse_left_jacobian(&omega);
     blocks(&inverse, &(-inverse * coupling(&omega, &v) * inverse))
 }
 
@@ -33,19 +33,6 @@ fn blocks(diagonal: &Matrix3<f64>, below: &Matrix3<f64>) -> Matrix6<f64> {
         matrix.fixed_view_mut::<3, 3>(row, column).copy_from(block);
     }
     matrix
-}
-
-/// Inverse of the left Jacobian of SO(3).
-fn inverse_left_jacobian_so3(omega: &Vector3<f64>) -> Matrix3<f64> {
-    let angle = omega.norm();
-    let c = if angle < SMALL_ANGLE {
-        1.0 / 12.0 + angle * angle / 720.0
-    } else {
-        let half = 0.5 * angle;
-        (1.0 - half * half.cos() / half.sin()) / (angle * angle)
-    };
-    let w = skew(omega);
-    Matrix3::identity() - 0.5 * w + c * w * w
 }
 
 /// The block Q of the left Jacobian that couples rotation and translation, Barfoot's Eq. (7.86b).
