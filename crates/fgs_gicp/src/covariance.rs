@@ -6,8 +6,8 @@
 
 use nalgebra::{Matrix3, SymmetricEigen, Vector3};
 
-/// The smallest eigenvalue of a covariance whose middle one is 1: the square of how much thinner
-/// than wide a patch may be. The value of GICP and of the paper.
+/// Floor of the smallest eigenvalue of a covariance whose middle one is 1: the variance along the
+/// normal relative to the tangent plane. The value of GICP and of the paper.
 pub const MIN_EIGENVALUE: f64 = 1e-3;
 
 /// A symmetric positive definite 3x3 matrix.
@@ -25,7 +25,7 @@ impl Covariance {
         }
     }
 
-    /// A disk: variance 1 across and `thickness` along the unit vector `normal`.
+    /// A disk: variance 1 in the tangent plane and `thickness` along the unit vector `normal`.
     pub fn disk(normal: &Vector3<f64>, thickness: f64) -> Self {
         let n = normal;
         let k = thickness - 1.0;

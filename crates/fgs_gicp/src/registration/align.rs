@@ -20,7 +20,8 @@ use crate::{Point, PointMap};
 const CHUNK_POINTS: usize = 1024;
 
 /// How far beyond the nearest point a search looks, as a share of the correspondence distance, so
-/// that it need not be repeated after steps of up to half of it. More makes the first search dear.
+/// that it need not be repeated after steps of up to half of it. A larger margin makes the first
+/// search expensive.
 const MARGIN: f32 = 0.05;
 
 /// Points of the sample that is aligned first.
@@ -29,7 +30,7 @@ const SAMPLE_POINTS: usize = 1000;
 /// The sample is given up after so many linearisations.
 const MAX_SAMPLE_ITERATIONS: usize = 10;
 
-/// Three points off a line determine a motion.
+/// Three points that are not collinear determine a motion.
 const MIN_PAIRS: usize = 3;
 
 /// Points closer together than this determine no rotation: their `f32` positions are rounded to a
@@ -39,8 +40,8 @@ const MIN_RADIUS_M: f64 = 1e-4;
 /// Below this ratio of eigenvalues a direction is held by rounding errors only.
 const MIN_CONDITIONING: f64 = 1e-10;
 
-/// The motion `target_from_source` that lays the source onto the target, sought from `initial`.
-/// Not converging is no error: see [`Alignment::converged`].
+/// The motion `target_from_source` that aligns the source with the target, starting from `initial`.
+/// Failing to converge is not an error: see [`Alignment::converged`].
 ///
 /// # Errors
 /// Empty or non-finite input, and pairs that determine no motion.

@@ -68,10 +68,10 @@ pub struct SurfacePoint {
 impl SurfacePoint {
     /// As a point of a registration: the fitted position, with the plane's disk as covariance.
     ///
-    /// `thickness` is the variance along the normal relative to that across, [`MIN_EIGENVALUE`]
-    /// in GICP; exact depth is served by far less. The covariance grows with the square of
-    /// `depth^noise_power`, as the sensor's variance does: power 2 for structured light and stereo,
-    /// 0 for depth that is equally exact everywhere.
+    /// `thickness` is the variance along the normal relative to the tangent plane, [`MIN_EIGENVALUE`]
+    /// in GICP; exact depth allows far less. The standard deviation grows with `depth^noise_power`,
+    /// as the sensor's does: power 2 for structured light and stereo, 0 for depth that is equally
+    /// exact everywhere.
     ///
     /// [`MIN_EIGENVALUE`]: crate::MIN_EIGENVALUE
     pub fn disk(&self, thickness: f64, noise_power: f64) -> Point {
