@@ -9,7 +9,7 @@ use std::io::Read;
 use std::ops::Range;
 use std::path::Path;
 
-use fgs_geom::{Camera, CameraError, Distortion, Intrinsics};
+use fgs_geom::{Camera, CameraError, DepthSensor, Distortion, Intrinsics, Se3};
 use serde::{Deserialize, Serialize};
 
 use crate::DataError;
@@ -25,13 +25,16 @@ const MAX_PIXELS: usize = 100_000_000;
 ///
 /// Keys: `width`, `height` (pixels), `fx`, `fy`, `cx`, `cy` (pixels, pixel centres at integer
 /// coordinates), `depth_scale` (raw depth value of 1 m) and, for distorted images,
-/// `distortion = [k1, k2, p1, p2, k3]`. Unknown keys are rejected.
+/// `distortion = [k1, k2, p1, p2, k3]`; where depth is not quite where and when colour is,
+/// `depth_delay_secs` and `color_from_depth = [tx, ty, tz, qx, qy, qz, qw]` (metres), see
+/// [`DepthSensor`]. Unknown keys are rejected.
 #[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
 #[serde(try_from = "Keys", into = "Keys")]
 pub struct CameraFile {
     camera: Camera,
     distortion: Option<Distortion>,
     depth_scale: f64,
+    depth_sensor: DepthSensor,
 }
 
 #[derive(Deserialize, Serialize)]
@@ -46,6 +49,15 @@ struct Keys {
     depth_scale: f64,
     #[serde(skip_serializing_if = "Option::is_none")]
     distortion: Option<[f64; 5]>,
+    #[serde(default, skip_serializing_if = "is_zero")]
+    depth_delay_secs: f64,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    color_from_depth: Option<[f64; 7]>,
+}
+
+#[expect(clippy::trivially_copy_pass_by_ref, reason = "serde's signature")]
+fn is_zero(x: &f64) -> bool {
+    *x == 0.0
 }
 
 /// A configuration file, as far as it is about the camera.
@@ -105,7 +117,32 @@ impl CameraFile {
             camera,
             distortion: distortion.map(Distortion::from_array),
             depth_scale,
+            depth_sensor: DepthSensor::default(),
         })
+    }
+
+    /// The same camera with its depth sensor elsewhere in space or time: delays up to 1 s, shifts up
+    /// to 1 m.
+    ///
+    /// # Errors
+    /// If a value is out of range.
+    pub fn with_depth_sensor(mut self, sensor: DepthSensor) -> Result<Self, CameraError> {
+        let refuse = |key, value, expected: &str| {
+            Err(CameraError {
+                key,
+                value,
+                expected: expected.into(),
+            })
+        };
+        if !(-1.0..=1.0).contains(&sensor.delay_secs) {
+            return refuse("depth_delay_secs", sensor.delay_secs, "-1 to 1 s");
+        }
+        let shift_m = sensor.color_from_depth.translation.norm();
+        if !(0.0..=1.0).contains(&shift_m) {
+            return refuse("color_from_depth", shift_m, "a shift of up to 1 m");
+        }
+        self.depth_sensor = sensor;
+        Ok(self)
     }
 
     /// Reads a camera file such as `camera.toml`; see [`CameraFile::parse`].
@@ -165,6 +202,8 @@ impl CameraFile {
             cy,
             depth_scale: scale,
             distortion: None,
+            depth_delay_secs: 0.0,
+            color_from_depth: None,
         }
         .checked(path)
     }
@@ -182,6 +221,11 @@ impl CameraFile {
     /// The raw depth value of 1 m.
     pub fn depth_scale(&self) -> f64 {
         self.depth_scale
+    }
+
+    /// Where and when depth is measured, as seen from the colour camera.
+    pub fn depth_sensor(&self) -> &DepthSensor {
+        &self.depth_sensor
     }
 }
 
@@ -208,13 +252,27 @@ impl TryFrom<Keys> for CameraFile {
                 cy: keys.cy,
             },
         };
-        Self::new(camera, keys.distortion, keys.depth_scale)
+        let color_from_depth = match keys.color_from_depth {
+            None => Se3::identity(),
+            Some([tx, ty, tz, qx, qy, qz, qw]) => {
+                Se3::from_wxyz([qw, qx, qy, qz], [tx, ty, tz]).ok_or(CameraError {
+                    key: "color_from_depth",
+                    value: qw,
+                    expected: "tx, ty, tz, qx, qy, qz, qw, a quaternion of length 1".into(),
+                })?
+            }
+        };
+        Self::new(camera, keys.distortion, keys.depth_scale)?.with_depth_sensor(DepthSensor {
+            delay_secs: keys.depth_delay_secs,
+            color_from_depth,
+        })
     }
 }
 
 impl From<CameraFile> for Keys {
     fn from(file: CameraFile) -> Self {
         let Intrinsics { fx, fy, cx, cy } = file.camera.intrinsics;
+        let pose = file.depth_sensor.color_from_depth;
         Self {
             width: file.camera.width,
             height: file.camera.height,
@@ -224,6 +282,11 @@ impl From<CameraFile> for Keys {
             cy,
             depth_scale: file.depth_scale,
             distortion: file.distortion.map(|d| [d.k1, d.k2, d.p1, d.p2, d.k3]),
+            depth_delay_secs: file.depth_sensor.delay_secs,
+            color_from_depth: (pose != Se3::identity()).then(|| {
+                let (t, q) = (pose.translation, pose.rotation.quaternion());
+                [t.x, t.y, t.z, q.i, q.j, q.k, q.w]
+            }),
         }
     }
 }
@@ -267,6 +330,31 @@ mod tests {
         assert_eq!(file.distortion().unwrap().k3, 1.1633);
         let text = toml::to_string(&file).unwrap();
         assert_eq!(toml::from_str::<CameraFile>(&text).unwrap(), file);
+        assert_eq!(*file.depth_sensor(), DepthSensor::default());
+    }
+
+    #[test]
+    fn a_depth_sensor_is_read_and_written() {
+        let text = format!(
+            "{GOOD}depth_delay_secs = -0.012\ncolor_from_depth = [0.01, 0.0, 0.0, 0.0, 0.6, 0.0, 0.8]\n"
+        );
+        let file = CameraFile::parse(&text, Path::new("camera.toml")).unwrap();
+        let sensor = file.depth_sensor();
+        assert_eq!(sensor.delay_secs, -0.012);
+        assert_eq!(sensor.color_from_depth.translation.x, 0.01);
+        assert!((sensor.color_from_depth.rotation.j - 0.6).abs() <= 1e-15);
+        let written = toml::to_string(&file).unwrap();
+        let read = toml::from_str::<CameraFile>(&written).unwrap();
+        assert_eq!(read, file);
+        for (from, to, key) in [
+            ("-0.012", "nan", "depth_delay_secs"),
+            ("-0.012", "-1.5", "depth_delay_secs"),
+            ("[0.01", "[5.0", "color_from_depth"),
+            ("0.6, 0.0, 0.8", "0.0, 0.0, 0.0", "color_from_depth"),
+        ] {
+            let refused = refusal(&text.replace(from, to));
+            assert!(refused.contains(key), "{refused}");
+        }
     }
 
     #[test]

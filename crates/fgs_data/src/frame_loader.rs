@@ -3,7 +3,7 @@
 
 use std::sync::Arc;
 
-use fgs_geom::{Camera, FrameIndex, Image, RgbdFrame, UndistortionMap, depth_from_raw};
+use fgs_geom::{Camera, DepthSensor, FrameIndex, Image, RgbdFrame, UndistortionMap, depth_from_raw};
 
 use crate::formats::FrameFiles;
 use crate::images::{read_color, read_depth};
@@ -18,6 +18,7 @@ pub(crate) struct FrameLoader {
     color_valid: Option<Arc<Image<bool>>>,
     depth_scale: f32,
     no_depth: u16,
+    depth_sensor: DepthSensor,
 }
 
 impl FrameLoader {
@@ -36,6 +37,7 @@ impl FrameLoader {
                 .map(Arc::new),
             depth_scale: camera_file.depth_scale() as f32,
             no_depth,
+            depth_sensor: *camera_file.depth_sensor(),
         }
     }
 
@@ -67,10 +69,12 @@ impl FrameLoader {
             depth_m,
             self.camera,
         );
-        match &self.color_valid {
+        let mut frame = match &self.color_valid {
             Some(valid) => frame.and_then(|frame| frame.with_color_valid(valid.clone())),
             None => frame,
         }
-        .map_err(|source| DataError::Frame { index, source })
+        .map_err(|source| DataError::Frame { index, source })?;
+        frame.depth_sensor = self.depth_sensor;
+        Ok(frame)
     }
 }

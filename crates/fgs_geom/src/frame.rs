@@ -8,7 +8,7 @@ use std::sync::Arc;
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
-use crate::{Camera, Image};
+use crate::{Camera, DepthSensor, Image};
 
 /// The position of a frame in its recording, from 0.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
@@ -38,6 +38,8 @@ pub struct RgbdFrame {
     /// Which colour pixels the camera saw; `None` if it saw all of them. The border that removing
     /// lens distortion leaves was not seen. Frames of one recording share the mask.
     pub color_valid: Option<Arc<Image<bool>>>,
+    /// Where and when the depth image was measured. Not finite values are refused.
+    pub depth_sensor: DepthSensor,
 }
 
 /// Why images and camera do not make a frame.
@@ -96,6 +98,7 @@ impl RgbdFrame {
             depth_m,
             camera,
             color_valid: None,
+            depth_sensor: DepthSensor::default(),
         };
         frame.check()?;
         Ok(frame)

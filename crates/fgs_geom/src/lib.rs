@@ -6,6 +6,7 @@
 
 mod camera;
 mod depth;
+mod depth_sensor;
 mod distortion;
 mod frame;
 mod image;
@@ -14,6 +15,7 @@ mod se3;
 
 pub use camera::{Camera, CameraError, Intrinsics, View};
 pub use depth::{depth_from_raw, has_depth};
+pub use depth_sensor::{DepthSensor, registered_depth};
 pub use distortion::{Distortion, UndistortionMap};
 pub use frame::{FrameError, FrameIndex, KeyframeId, RgbdFrame};
 pub use image::{Image, ImageSizeError};
