@@ -254,13 +254,12 @@ impl TryFrom<Keys> for CameraFile {
         };
         let color_from_depth = match keys.color_from_depth {
             None => Se3::identity(),
-            Some([tx, ty, tz, qx, qy, qz, qw]) => {
-                Se3::from_wxyz([qw, qx, qy, qz], [tx, ty, tz]).ok_or(CameraError {
+            Some([tx, ty, tz, qx, qy, qz, qw]) => Se3::from_wxyz([qw, qx, qy, qz], [tx, ty, tz])
+                .ok_or(CameraError {
                     key: "color_from_depth",
                     value: qw,
                     expected: "tx, ty, tz, qx, qy, qz, qw, a quaternion of length 1".into(),
-                })?
-            }
+                })?,
         };
         Self::new(camera, keys.distortion, keys.depth_scale)?.with_depth_sensor(DepthSensor {
             delay_secs: keys.depth_delay_secs,

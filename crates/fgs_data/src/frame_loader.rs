@@ -3,7 +3,9 @@
 
 use std::sync::Arc;
 
-use fgs_geom::{Camera, DepthSensor, FrameIndex, Image, RgbdFrame, UndistortionMap, depth_from_raw};
+use fgs_geom::{
+    Camera, DepthSensor, FrameIndex, Image, RgbdFrame, UndistortionMap, depth_from_raw,
+};
 
 use crate::formats::FrameFiles;
 use crate::images::{read_color, read_depth};

@@ -61,7 +61,8 @@ pub fn registered_depth(
             let (x, y, z) = landing.of(u, v, depth);
             let (column, row) = (x.round(), y.round());
             // Also rejects NaN.
-            let inside = (0.0..width as f64).contains(&column) && (0.0..height as f64).contains(&row);
+            let inside =
+                (0.0..width as f64).contains(&column) && (0.0..height as f64).contains(&row);
             if has_depth(depth) && inside && z > 0.0 {
                 let (column, row) = (column as usize, row as usize);
                 let nearest = registered.at(column, row);
@@ -155,7 +156,8 @@ mod tests {
         let normal = Vector3::new(0.2, -0.1, -1.0).normalize();
         Image::from_fn(W, H, |u, v| {
             let ray = plane_from_camera.rotation * camera().ray(u as f64, v as f64);
-            let to_plane = normal.dot(&(Vector3::new(0.0, 0.0, 2.5) - plane_from_camera.translation));
+            let to_plane =
+                normal.dot(&(Vector3::new(0.0, 0.0, 2.5) - plane_from_camera.translation));
             (to_plane / normal.dot(&ray)) as f32
         })
     }
@@ -210,7 +212,10 @@ mod tests {
                 _ => continue, // between the two shifts
             };
             let found = registered.at(u, 60);
-            assert!(found == 0.0 || (found - expected).abs() <= 1e-6, "{u}: {found}");
+            assert!(
+                found == 0.0 || (found - expected).abs() <= 1e-6,
+                "{u}: {found}"
+            );
         }
         assert!((73..=92).all(|u| registered.at(u, 60) == 1.0));
     }
