@@ -40,10 +40,12 @@ const COUNTS: [&str; 13] = [
 
 const TRAJECTORY_SCORES: [&str; 3] = ["ate_rmse_m", "ate_mean_m", "rpe_mean_m"];
 
-const IMAGE_SCORES: [&str; 6] = [
+const IMAGE_SCORES: [&str; 8] = [
     "psnr_valid_depth_db",
     "psnr_db",
     "psnr_paper_db",
+    "psnr_exposure_valid_depth_db",
+    "psnr_exposure_db",
     "psnr_heldout_db",
     "ssim",
     "depth_l1_m",

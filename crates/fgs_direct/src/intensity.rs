@@ -36,6 +36,18 @@ impl IntensityImage {
         }
     }
 
+    /// A rendered image, colours from 0 to 1; NaN where `is_seen` is false. Both have the camera's
+    /// size.
+    pub fn of_render(camera: Camera, color: &Image<[f32; 3]>, is_seen: &Image<bool>) -> Self {
+        let mut pixels = color.map(|rgb| rgb.iter().zip(LUMA).map(|(c, w)| c * w).sum());
+        for (pixel, seen) in pixels.data_mut().iter_mut().zip(is_seen.data()) {
+            if !seen {
+                *pixel = f32::NAN;
+            }
+        }
+        Self { camera, pixels }
+    }
+
     /// Half the size: means of blocks of 2x2 pixels. An odd last row or column is left out.
     pub fn halved(&self) -> Self {
         let (width, height) = (self.camera.width / 2, self.camera.height / 2);
@@ -98,7 +110,12 @@ impl IntensityPyramid {
     /// `count` levels of a frame's colour image, the finest at full resolution; fewer if the image
     /// becomes smaller than 8 pixels.
     pub fn of_frame(frame: &RgbdFrame, count: usize) -> Self {
-        let mut levels = vec![IntensityImage::of_frame(frame)];
+        Self::new(IntensityImage::of_frame(frame), count)
+    }
+
+    /// The same on top of any image.
+    pub fn new(finest: IntensityImage, count: usize) -> Self {
+        let mut levels = vec![finest];
         while levels.len() < count {
             let last = &levels[levels.len() - 1];
             if last.camera.width.min(last.camera.height) < 16 {

@@ -3,10 +3,14 @@
 //! The render's floats are clamped to 0..=1 and not quantised; the target's bytes are divided by
 //! 255. The squared error is averaged over pixels and colour channels. "All pixels" are those whose
 //! colour the camera saw: the border that removing lens distortion leaves is no part of the image.
+//!
+//! The PSNRs with exposure compare after the gain and offset of each colour channel that fit the
+//! whole frame best, since cameras change both from frame to frame.
 
 use fgs_geom::{Image, has_depth};
 use rayon::prelude::*;
 
+use crate::exposure::ChannelMoments;
 use crate::pixels::{check_size, unit_from_byte, unit_from_float};
 use crate::{EvalError, ssim};
 
@@ -24,12 +28,16 @@ pub struct ImageQuality {
     /// PSNR as the paper's code computes it, dB: over all valid pixels, both images black where no
     /// depth is measured, so that those pixels count as correct.
     pub psnr_paper_db: f64,
+    /// `psnr_valid_depth_db` with exposure.
+    pub psnr_exposure_valid_depth_db: Option<f64>,
+    /// `psnr_db` with exposure.
+    pub psnr_exposure_db: f64,
     /// Structural similarity over all windows of valid pixels, at most 1; see [`ssim`].
     pub ssim: f64,
 }
 
 impl ImageQuality {
-    /// The mean over frames, that of `psnr_valid_depth_db` over the frames that have it.
+    /// The mean over frames, those over pixels with depth over the frames that have some.
     /// `None` without frames.
     pub fn mean(frames: &[Self]) -> Option<Self> {
         let mean = |value: &dyn Fn(&Self) -> Option<f64>| {
@@ -40,6 +48,8 @@ impl ImageQuality {
             psnr_valid_depth_db: mean(&|frame| frame.psnr_valid_depth_db),
             psnr_db: mean(&|frame| Some(frame.psnr_db))?,
             psnr_paper_db: mean(&|frame| Some(frame.psnr_paper_db))?,
+            psnr_exposure_valid_depth_db: mean(&|frame| frame.psnr_exposure_valid_depth_db),
+            psnr_exposure_db: mean(&|frame| Some(frame.psnr_exposure_db))?,
             ssim: mean(&|frame| Some(frame.ssim))?,
         })
     }
@@ -59,67 +69,91 @@ pub fn image_quality(
 ) -> Result<ImageQuality, EvalError> {
     check_size(render, depth_m)?;
     let ssim = ssim(render, target, color_valid)?; // checks the rest
-    let rows: Vec<SquaredErrors> = (0..render.height())
+    let rows: Vec<Errors> = (0..render.height())
         .into_par_iter()
         .map(|v| {
             let color_valid = color_valid.map(|valid| valid.row(v));
-            SquaredErrors::of_row(render.row(v), target.row(v), depth_m.row(v), color_valid)
+            Errors::of_row(render.row(v), target.row(v), depth_m.row(v), color_valid)
         })
         .collect();
-    let total = rows
-        .iter()
-        .fold(SquaredErrors::default(), |sum, row| SquaredErrors {
-            all: sum.all + row.all,
-            pixels: sum.pixels + row.pixels,
-            with_depth: sum.with_depth + row.with_depth,
-            pixels_with_depth: sum.pixels_with_depth + row.pixels_with_depth,
-        });
+    let total = rows.iter().fold(Errors::default(), |sum, row| Errors {
+        all: sum.all.merged(&row.all),
+        with_depth: sum.with_depth.merged(&row.with_depth),
+    });
+    let exposures = total.all.channels.map(|channel| channel.exposure());
+    let with_exposure = |errors: &PixelErrors| {
+        let channels = errors.channels.iter().zip(&exposures);
+        let squared = channels.map(|(channel, exposure)| channel.squared_error(exposure));
+        psnr_db(squared.sum(), errors.pixels)
+    };
+    let has_depth = total.with_depth.pixels > 0;
     Ok(ImageQuality {
-        psnr_valid_depth_db: (total.pixels_with_depth > 0)
-            .then(|| psnr_db(total.with_depth, total.pixels_with_depth)),
-        psnr_db: psnr_db(total.all, total.pixels),
-        psnr_paper_db: psnr_db(total.with_depth, total.pixels),
+        psnr_valid_depth_db: has_depth
+            .then(|| psnr_db(total.with_depth.squared, total.with_depth.pixels)),
+        psnr_db: psnr_db(total.all.squared, total.all.pixels),
+        psnr_paper_db: psnr_db(total.with_depth.squared, total.all.pixels),
+        psnr_exposure_valid_depth_db: has_depth.then(|| with_exposure(&total.with_depth)),
+        psnr_exposure_db: with_exposure(&total.all),
         ssim,
     })
 }
 
-/// Sums over RGB and valid pixels, and how many pixels those are.
+/// Errors over RGB of some pixels.
 #[derive(Default)]
-struct SquaredErrors {
-    all: f64,
+struct PixelErrors {
+    squared: f64,
     pixels: usize,
-    with_depth: f64,
-    pixels_with_depth: usize,
+    channels: [ChannelMoments; 3],
 }
 
-impl SquaredErrors {
+impl PixelErrors {
+    fn add(&mut self, render: &[f32; 3], target: &[u8; 3]) {
+        self.pixels += 1;
+        for (channel, (&r, &t)) in self.channels.iter_mut().zip(render.iter().zip(target)) {
+            let (r, t) = (unit_from_float(r), unit_from_byte(t));
+            self.squared += (r - t).powi(2);
+            channel.add(r, t);
+        }
+    }
+
+    fn merged(&self, other: &Self) -> Self {
+        Self {
+            squared: self.squared + other.squared,
+            pixels: self.pixels + other.pixels,
+            channels: std::array::from_fn(|c| self.channels[c].merged(&other.channels[c])),
+        }
+    }
+}
+
+/// Errors over all valid pixels, and over those with measured depth.
+#[derive(Default)]
+struct Errors {
+    all: PixelErrors,
+    with_depth: PixelErrors,
+}
+
+impl Errors {
     fn of_row(
         render: &[[f32; 3]],
         target: &[[u8; 3]],
         depth_m: &[f32],
         color_valid: Option<&[bool]>,
     ) -> Self {
-        let mut sum = Self::default();
+        let mut errors = Self::default();
         let pixels = render.iter().zip(target).zip(depth_m).enumerate();
         for (u, ((render, target), &depth_m)) in pixels {
             if color_valid.is_some_and(|valid| !valid[u]) {
                 continue;
             }
-            let error: f64 = (render.iter().zip(target))
-                .map(|(&r, &t)| (unit_from_float(r) - unit_from_byte(t)).powi(2))
-                .sum();
-            sum.all += error;
-            sum.pixels += 1;
+            errors.all.add(render, target);
             if has_depth(depth_m) {
-                sum.with_depth += error;
-                sum.pixels_with_depth += 1;
+                errors.with_depth.add(render, target);
             }
         }
-        sum
+        errors
     }
 }
 
-/// PSNR for values in 0..=1 from a sum of squares over RGB.
 fn psnr_db(squared_error: f64, pixels: usize) -> f64 {
     let mean = squared_error / (3 * pixels) as f64;
     (-10.0 * mean.log10()).min(MAX_PSNR_DB)

@@ -8,6 +8,7 @@ mod alignment;
 mod association;
 mod depth;
 mod error;
+mod exposure;
 mod image_quality;
 mod pixels;
 mod ssim;

@@ -127,11 +127,26 @@ fn unusable_images_are_named() {
 }
 
 #[test]
+fn a_change_of_exposure_costs_nothing_with_exposure() {
+    let (_, target, depth_m) = images(48, 37);
+    let render = target.map(|rgb| {
+        let [r, g, b] = rgb.map(|c| f32::from(c) / 255.0);
+        [0.8 * r + 0.05, 0.7 * g + 0.1, 0.9 * b]
+    });
+    let quality = image_quality(&render, &target, &depth_m, None).unwrap();
+    assert!(quality.psnr_db <= 25.0, "{quality:?}");
+    assert!(quality.psnr_exposure_db >= 99.0, "{quality:?}");
+    assert!(quality.psnr_exposure_valid_depth_db.unwrap() >= 99.0);
+}
+
+#[test]
 fn mean_over_frames() {
     let frame = |psnr_valid_depth_db, value: f64| ImageQuality {
         psnr_valid_depth_db,
         psnr_db: value,
         psnr_paper_db: value + 1.0,
+        psnr_exposure_valid_depth_db: psnr_valid_depth_db.map(|db: f64| db + 2.0),
+        psnr_exposure_db: value + 2.0,
         ssim: value / 64.0,
     };
     let mean = ImageQuality::mean(&[frame(Some(30.0), 20.0), frame(None, 40.0)]);

@@ -5,7 +5,7 @@
 
 use std::ops::Mul;
 
-use nalgebra::{Matrix3, Matrix4, Quaternion, UnitQuaternion, Vector3, Vector6};
+use nalgebra::{Matrix3, Matrix4, Matrix6, Quaternion, UnitQuaternion, Vector3, Vector6};
 
 /// Below this angle (rad) the closed forms lose digits to cancellation and their Taylor series,
 /// cut after the second term, is exact to rounding.
@@ -97,6 +97,18 @@ impl Se3 {
     pub fn inverse(&self) -> Self {
         let rotation = self.rotation.inverse();
         Self::new(rotation, -(rotation * self.translation))
+    }
+
+    /// `T exp(x) = exp(Ad x) T`.
+    pub fn adjoint(&self) -> Matrix6<f64> {
+        let rotation = self.rotation.to_rotation_matrix().into_inner();
+        let mut adjoint = Matrix6::zeros();
+        adjoint.fixed_view_mut::<3, 3>(0, 0).copy_from(&rotation);
+        adjoint.fixed_view_mut::<3, 3>(3, 3).copy_from(&rotation);
+        adjoint
+            .fixed_view_mut::<3, 3>(3, 0)
+            .copy_from(&(skew(&self.translation) * rotation));
+        adjoint
     }
 
     /// Transforms a point from `b` coordinates to `a` coordinates.

@@ -4,7 +4,7 @@ use fgs_geom::{KeyframeId, Se3};
 use nalgebra::{Matrix6, Vector6};
 
 use crate::kernel::RobustKernel;
-use crate::tangent::{adjoint, inverse_right_jacobian};
+use crate::tangent::inverse_right_jacobian;
 
 /// How one keyframe was found to lie to another.
 #[derive(Clone, Debug, PartialEq)]
@@ -49,7 +49,7 @@ impl Edge {
         let residual = self.residual(from, to);
         let by_to = inverse_right_jacobian(&residual);
         // (from exp(x))^-1 to = from^-1 to exp(-Ad(to^-1 from) x)
-        let by_from = -by_to * adjoint(&(to.inverse() * *from));
+        let by_from = -by_to * (to.inverse() * *from).adjoint();
         Linearized {
             residual,
             by_from,

@@ -3,18 +3,12 @@
 //! Equations: Barfoot, State Estimation for Robotics (2017), section 7.1, in our order of the
 //! tangent.
 
-use fgs_geom::{Se3, inverse_left_jacobian, skew};
+use fgs_geom::{inverse_left_jacobian, skew};
 use nalgebra::{Matrix3, Matrix6, Vector3, Vector6};
 
 /// Below this angle (rad) the coefficients lose digits to cancellation and their Taylor series, cut
 /// after the second term, are exact to 1e-12.
 const SMALL_ANGLE: f64 = 1e-2;
-
-/// `T exp(x) = exp(Ad x) T`, [6, 6].
-pub fn adjoint(pose: &Se3) -> Matrix6<f64> {
-    let rotation = pose.rotation.to_rotation_matrix().into_inner();
-    blocks(&rotation, &(skew(&pose.translation) * rotation))
-}
 
 /// The derivative of `log(T exp(x))` by x at 0, where `tangent = log(T)`: the inverse of the right
 /// Jacobian of SE(3), [6, 6].

@@ -136,6 +136,8 @@ mod tests {
                 psnr_valid_depth_db: None,
                 psnr_db: f64::INFINITY,
                 psnr_paper_db: 20.0,
+                psnr_exposure_valid_depth_db: None,
+                psnr_exposure_db: 21.0,
                 ssim: 0.75,
             },
             depth: None,

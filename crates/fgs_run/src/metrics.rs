@@ -156,6 +156,8 @@ mod tests {
   "psnr_valid_depth_db": 25.5,
   "psnr_db": 24.0,
   "psnr_paper_db": 26.0,
+  "psnr_exposure_valid_depth_db": 26.5,
+  "psnr_exposure_db": 25.0,
   "psnr_heldout_db": null,
   "ssim": 0.875,
   "depth_l1_m": 0.015,

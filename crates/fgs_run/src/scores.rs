@@ -106,6 +106,18 @@ pub const SCORES: &[Score] = &[
         shown: None,
     },
     Score {
+        name: "psnr_exposure_valid_depth_db",
+        meaning: "psnr_valid_depth_db after each frame's gain and offset of each colour channel",
+        source: Source::Frame(|errors| errors.image.psnr_exposure_valid_depth_db),
+        shown: shown("PSNR", 1.0, 2, " dB with exposure"),
+    },
+    Score {
+        name: "psnr_exposure_db",
+        meaning: "psnr_db after each frame's gain and offset of each colour channel",
+        source: Source::Frame(|errors| Some(errors.image.psnr_exposure_db)),
+        shown: None,
+    },
+    Score {
         name: "psnr_heldout_db",
         meaning: "psnr_valid_depth_db over the frames that never became keyframes",
         source: Source::HeldOut("psnr_valid_depth_db"),

@@ -5,11 +5,13 @@
 //! the recording's own pace, [`live`] feeds it a camera. A [`Mapper`] alone, with a
 //! [`KeyframePreparer`], builds a map from poses that are known.
 
+mod color_aligner;
 mod config;
 mod event;
 mod frame_result;
 pub mod frequency;
 mod keyframes;
+mod map_alignment;
 mod mapper;
 mod missing;
 mod motion;

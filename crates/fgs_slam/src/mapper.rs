@@ -8,6 +8,7 @@ use fgs_splat::{
 
 use crate::config::{MappingConfig, SlamConfig};
 use crate::keyframes::Keyframe;
+use crate::map_alignment::align_with_map;
 use crate::missing::missing_region;
 use crate::prepare::PreparedKeyframe;
 use crate::view_choice::ViewChoice;
@@ -80,6 +81,23 @@ impl Mapper {
         let (view, frame) = (keyframe.view(), &keyframe.frame);
         let missing = missing_region(&mut *self.model, &view, frame, &self.config.seeding)?;
         Ok(missing)
+    }
+
+    /// Moves a keyframe to where the map, as it is, looks most like its image; returns the motion,
+    /// `new_world_from_old_world`, if the map shows enough of it.
+    ///
+    /// # Errors
+    /// If the model fails.
+    pub fn align(&mut self, keyframe: &mut Keyframe) -> Result<Option<Se3>, MapperError> {
+        if !self.has_views() || !self.config.tracking.color {
+            return Ok(None);
+        }
+        let pose = align_with_map(&mut *self.model, keyframe)?;
+        Ok(pose.map(|pose| {
+            let motion = (pose * keyframe.world_from_camera.inverse()).renormalized();
+            keyframe.world_from_camera = pose;
+            motion
+        }))
     }
 
     /// Adds a keyframe's seeds and registers it for optimisation.

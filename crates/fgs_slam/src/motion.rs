@@ -1,6 +1,7 @@
 //! The motion model: constant velocity in the camera's own axes, per second.
 //!
-//! In: the pose and time of each tracked frame. Out: the pose at which registration of the next
+//! In: the pose and time of each tracked frame. The camera is the depth camera: its poses come from
+//! registration, one per frame. Out: the pose at which registration of the next
 //! frame starts. Because velocity is per second and not per frame, dropped frames, lost frames and
 //! uneven frame rates need no special care.
 
@@ -53,16 +54,23 @@ impl MotionModel {
         })
     }
 
+    /// The twist from the last frame to a pose, `[omega, v]` in the camera's axes, rad/s and m/s; zero
+    /// before the second frame and after a gap of more than half a second.
+    pub fn velocity_to(&self, world_from_camera: &Se3, timestamp_secs: f64) -> Vector6<f64> {
+        let Some(last) = self.last else {
+            return Vector6::zeros();
+        };
+        let interval = last.secs_until(timestamp_secs);
+        if interval > HORIZON_SECS {
+            Vector6::zeros()
+        } else {
+            (last.world_from_camera.inverse() * *world_from_camera).log() / interval
+        }
+    }
+
     /// A frame was tracked.
     pub fn observe(&mut self, world_from_camera: Se3, timestamp_secs: f64) {
-        if let Some(last) = self.last {
-            let interval = last.secs_until(timestamp_secs);
-            self.velocity = if interval > HORIZON_SECS {
-                Vector6::zeros()
-            } else {
-                (last.world_from_camera.inverse() * world_from_camera).log() / interval
-            };
-        }
+        self.velocity = self.velocity_to(&world_from_camera, timestamp_secs);
         self.last = Some(TimedPose {
             world_from_camera,
             timestamp_secs,

@@ -180,6 +180,7 @@ impl Slam {
         }
         let frame = Arc::new(frame);
         self.tracker.remove_points(&self.map.take_removed());
+        take_moved(&self.map, &mut self.graph, &mut self.tracker, &self.events);
         let may_become_keyframe = self.mapping.accepts_keyframe();
         let tracker = &mut self.tracker;
         let tracked = match &self.tracker_threads {
@@ -273,6 +274,7 @@ impl Slam {
             }
         }
         let mapped = self.mapping.finish(closing);
+        take_moved(&self.map, &mut self.graph, &mut self.tracker, &self.events);
         self.events.close();
         let graph = self.graph;
         let pose = |id| graph.pose(id).copied().unwrap_or_else(Se3::identity);
@@ -367,4 +369,23 @@ impl Slam {
         });
         self.frames.push(RecordedFrame { result, pose });
     }
+}
+
+/// Takes over where the mapper put keyframes.
+fn take_moved(
+    map: &MapStatus,
+    graph: &mut KeyframeGraph,
+    tracker: &mut Tracker,
+    events: &EventHub,
+) {
+    let moves = map.take_moved();
+    if moves.is_empty() {
+        return;
+    }
+    graph.move_keyframes(&moves);
+    tracker.move_keyframes(&moves);
+    events.publish(|| {
+        let poses = moves.iter().map(|(id, _)| (*id, graph.pose(*id)));
+        SlamEvent::Correction(poses.filter_map(|(id, pose)| Some((id, *pose?))).collect())
+    });
 }

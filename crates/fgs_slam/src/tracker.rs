@@ -7,12 +7,14 @@
 use std::sync::Arc;
 use std::time::Instant;
 
-use fgs_geom::{Camera, KeyframeId, RgbdFrame, Se3};
+use fgs_direct::{IntensityPyramid, PosePrior};
+use fgs_geom::{Camera, DepthSensor, KeyframeId, RgbdFrame, Se3, registered_depth};
 use fgs_gicp::{Alignment, DepthGrid, Point, Settings, SurfacePoint, align};
 use fgs_splat::SparseId;
 use nalgebra::Matrix6;
 use rayon::prelude::*;
 
+use crate::color_aligner::ColorAligner;
 use crate::config::{KeyframeConfig, SlamConfig, SurfaceConfig, TrackingConfig};
 use crate::frame_result::TrackingQuality;
 use crate::keyframes::{Keyframe, KeyframeKind, KeyframePolicy, NewPoint};
@@ -40,16 +42,27 @@ pub struct Tracker {
     policy: KeyframePolicy,
     grid: DepthGrid,
     map: SparseMap,
+    color: ColorAligner,
     motion: MotionModel,
     newest_keyframe: Option<KeyframeId>,
     /// The last trusted frame, unless it became a keyframe.
-    unmapped: Option<(Arc<RgbdFrame>, Registered)>,
+    unmapped: Option<(Arc<RgbdFrame>, IntensityPyramid, Located)>,
 }
 
-/// A trusted pose.
+/// A trusted pose of the depth camera.
 #[derive(Clone, Copy)]
 struct Registered {
+    world_from_depth: Se3,
+    /// Tangent in the depth camera's axes.
+    information: Option<Matrix6<f64>>,
+}
+
+/// Where a trusted frame was taken.
+#[derive(Clone, Copy)]
+struct Located {
     world_from_camera: Se3,
+    /// From the depth camera, when its image was taken, to the colour camera, when its was.
+    color_from_depth: Se3,
     /// See [`Keyframe::information`].
     information: Option<Matrix6<f64>>,
 }
@@ -72,6 +85,7 @@ impl Tracker {
             policy: KeyframePolicy::new(&config.keyframes),
             grid: tracking_grid(config, camera),
             map: SparseMap::new(config.tracking.max_correspondence_distance_m),
+            color: ColorAligner::default(),
             motion: MotionModel::default(),
             newest_keyframe: None,
             unmapped: None,
@@ -91,20 +105,28 @@ impl Tracker {
             sparse_points: self.map.points().len(),
             ..TrackingQuality::default()
         };
-        let registered = self.register(frame.timestamp_secs, &points, &mut quality);
+        let registered = self.register(frame, &points, &mut quality);
         let mut keyframe = None;
+        let mut world_from_camera = None;
         if let Some(registered) = registered {
-            self.motion
-                .observe(registered.world_from_camera, frame.timestamp_secs);
+            let pyramid = ColorAligner::pyramid(frame);
+            let located = self.locate(frame, &registered, &pyramid);
+            world_from_camera = Some(located.world_from_camera);
+            self.motion.observe(
+                located.world_from_camera * located.color_from_depth,
+                frame.timestamp_secs,
+            );
             let overlap_share = quality.inliers as f64 / points.len() as f64;
             if let Some(kind) = self.policy.decide(overlap_share, may_become_keyframe) {
-                keyframe = Some(self.make_keyframe(kind, frame, registered, &points));
+                keyframe = Some(self.make_keyframe(kind, frame, &pyramid, &located));
             }
-            self.unmapped = keyframe.is_none().then(|| (Arc::clone(frame), registered));
+            self.unmapped = keyframe
+                .is_none()
+                .then(|| (Arc::clone(frame), pyramid, located));
         }
         quality.duration = start.elapsed();
         Tracked {
-            world_from_camera: registered.map(|registered| registered.world_from_camera),
+            world_from_camera,
             quality,
             keyframe,
         }
@@ -113,8 +135,8 @@ impl Tracker {
     /// The keyframe that the last trusted frame becomes when the recording ends, so that the map
     /// reaches as far as the camera did; `None` if it already is one.
     pub fn finish(&mut self) -> Option<Keyframe> {
-        let (frame, registered) = self.unmapped.take()?;
-        Some(self.make_keyframe(KeyframeKind::Mapping, &frame, registered, &[]))
+        let (frame, pyramid, located) = self.unmapped.take()?;
+        Some(self.make_keyframe(KeyframeKind::Mapping, &frame, &pyramid, &located))
     }
 
     /// The keyframe that the camera's pose is relative to.
@@ -131,37 +153,32 @@ impl Tracker {
     /// them, and the camera with the newest.
     pub fn move_keyframes(&mut self, moves: &[(KeyframeId, Se3)]) {
         self.map.move_anchored(moves);
+        self.color.move_keyframes(moves);
         let newest = moves
             .iter()
             .find(|(id, _)| Some(*id) == self.newest_keyframe);
         if let Some((_, new_from_old)) = newest {
             self.motion.move_world(new_from_old);
-            if let Some((
-                _,
-                Registered {
-                    world_from_camera, ..
-                },
-            )) = &mut self.unmapped
-            {
-                *world_from_camera = *new_from_old * *world_from_camera;
+            if let Some((.., located)) = &mut self.unmapped {
+                located.world_from_camera = *new_from_old * located.world_from_camera;
             }
         }
     }
 
-    /// The pose at a time if it can be trusted; how well it fits goes into `quality`.
+    /// The depth camera's pose if it can be trusted; how well it fits goes into `quality`.
     fn register(
         &self,
-        timestamp_secs: f64,
+        frame: &RgbdFrame,
         points: &[SurfacePoint],
         quality: &mut TrackingQuality,
     ) -> Option<Registered> {
         if points.len() < MIN_POINTS {
             return None;
         }
-        let Some(predicted) = self.motion.predict(timestamp_secs) else {
-            // The first frame with enough depth.
+        let Some(predicted) = self.motion.predict(frame.timestamp_secs) else {
+            // The first frame with enough depth: its colour camera is at the origin.
             return Some(Registered {
-                world_from_camera: Se3::identity(),
+                world_from_depth: frame.depth_sensor.color_from_depth,
                 information: None,
             });
         };
@@ -189,9 +206,46 @@ impl Tracker {
         quality.residual_m = alignment.rms_residual_m;
         quality.conditioning = alignment.conditioning.weakest;
         self.is_trusted(&alignment).then(|| Registered {
-            world_from_camera: alignment.target_from_source,
+            world_from_depth: alignment.target_from_source,
             information: Some(alignment.information(SENSOR_NOISE_M)),
         })
+    }
+
+    /// The colour camera's pose: from the depth camera's by its motion between the two images, then
+    /// by what the colours say.
+    fn locate(
+        &self,
+        frame: &RgbdFrame,
+        registered: &Registered,
+        pyramid: &IntensityPyramid,
+    ) -> Located {
+        let velocity = self
+            .motion
+            .velocity_to(&registered.world_from_depth, frame.timestamp_secs);
+        let color_from_depth = frame.depth_sensor.color_from_depth(&velocity);
+        let depth_from_color = color_from_depth.inverse();
+        let mut located = Located {
+            world_from_camera: registered.world_from_depth * depth_from_color,
+            color_from_depth,
+            information: registered.information.map(|information| {
+                let depth_by_color = depth_from_color.adjoint();
+                depth_by_color.transpose() * information * depth_by_color
+            }),
+        };
+        if self.config.color
+            && let Some(information) = &mut located.information
+        {
+            *information *= self.config.depth_trust;
+            let prior = PosePrior {
+                world_from_camera: located.world_from_camera,
+                information: *information,
+            };
+            if let Some(aligned) = self.color.align(pyramid, &prior) {
+                located.world_from_camera = aligned.world_from_camera;
+                *information += aligned.information;
+            }
+        }
+        located
     }
 
     fn is_trusted(&self, alignment: &Alignment) -> bool {
@@ -208,40 +262,47 @@ impl Tracker {
         &mut self,
         kind: KeyframeKind,
         frame: &Arc<RgbdFrame>,
-        registered: Registered,
-        points: &[SurfacePoint],
+        pyramid: &IntensityPyramid,
+        located: &Located,
     ) -> Keyframe {
         let id = self.next_keyframe_id();
-        let world_from_camera = registered.world_from_camera;
+        let world_from_camera = located.world_from_camera;
+        let frame = with_registered_depth(frame, &located.color_from_depth);
+        self.color.add(id, world_from_camera, pyramid, &frame);
         let new_points = match kind {
             KeyframeKind::Mapping => Vec::new(),
-            KeyframeKind::Tracking => {
-                // A sparse point is a gaussian too, and needs a colour.
-                let points: Vec<&SurfacePoint> = points
-                    .iter()
-                    .filter(|point| frame.has_color(point.u, point.v))
-                    .collect();
-                let to_world =
-                    |point: &&SurfacePoint| self.disk(point).transformed(&world_from_camera);
-                let in_world: Vec<Point> = points.par_iter().map(to_world).collect();
-                let spacing_m = self.keyframes.new_point_distance_m;
-                let joined = self.map.extend(id, &in_world, spacing_m);
-                let named = joined.into_iter().map(|(i, id)| NewPoint {
-                    u: points[i].u,
-                    v: points[i].v,
-                    id,
-                });
-                named.collect()
-            }
+            KeyframeKind::Tracking => self.extend_map(id, &frame, &world_from_camera),
         };
         Keyframe {
             id,
             kind,
-            frame: Arc::clone(frame),
+            frame,
             world_from_camera,
-            information: registered.information,
+            information: located.information,
             new_points,
         }
+    }
+
+    /// Lets what a keyframe's depth image adds join the sparse map.
+    fn extend_map(
+        &mut self,
+        id: KeyframeId,
+        frame: &RgbdFrame,
+        world_from_camera: &Se3,
+    ) -> Vec<NewPoint> {
+        let mut points = self.grid.surface_points(&frame.depth_m, &frame.camera);
+        // A sparse point is a gaussian too, and needs a colour.
+        points.retain(|point| frame.has_color(point.u, point.v));
+        let to_world = |point: &SurfacePoint| self.disk(point).transformed(world_from_camera);
+        let in_world: Vec<Point> = points.par_iter().map(to_world).collect();
+        let spacing_m = self.keyframes.new_point_distance_m;
+        let joined = self.map.extend(id, &in_world, spacing_m);
+        let named = joined.into_iter().map(|(i, id)| NewPoint {
+            u: points[i].u,
+            v: points[i].v,
+            id,
+        });
+        named.collect()
     }
 
     fn next_keyframe_id(&mut self) -> KeyframeId {
@@ -251,4 +312,15 @@ impl Tracker {
         self.newest_keyframe = Some(id);
         id
     }
+}
+
+/// The frame with its depth where the colour camera would have measured it.
+fn with_registered_depth(frame: &Arc<RgbdFrame>, color_from_depth: &Se3) -> Arc<RgbdFrame> {
+    if frame.depth_sensor == DepthSensor::default() {
+        return Arc::clone(frame);
+    }
+    let mut registered = (**frame).clone();
+    registered.depth_m = registered_depth(&frame.depth_m, &frame.camera, color_from_depth);
+    registered.depth_sensor = DepthSensor::default();
+    Arc::new(registered)
 }

@@ -22,6 +22,12 @@ pub struct TrackingConfig {
     /// A frame is lost if its weakest direction is constrained less than this, relative to its
     /// strongest.
     pub min_conditioning: f64,
+    /// Whether frames are aligned by their brightness too, after registration by depth.
+    pub color: bool,
+    /// How much of the registration's information counts beside that of colour, 0 to 1. Residuals do
+    /// not show the errors that neighbouring depth pixels share: hundreds of them are worth one.
+    /// 1 for exact depth.
+    pub depth_trust: f64,
 }
 
 /// How well a depth image measures surfaces. Tracking and seeding share these, so that the disks of
@@ -61,6 +67,8 @@ impl Default for TrackingConfig {
             max_correspondence_distance_m: 0.03,
             min_inlier_share: 0.5,
             min_conditioning: 1e-4,
+            color: true,
+            depth_trust: 0.01,
         }
     }
 }
@@ -94,7 +102,8 @@ impl TrackingConfig {
             self.max_correspondence_distance_m,
         )?;
         SettingError::unless_share("min_inlier_share", self.min_inlier_share)?;
-        SettingError::unless_share("min_conditioning", self.min_conditioning)
+        SettingError::unless_share("min_conditioning", self.min_conditioning)?;
+        SettingError::unless_share("depth_trust", self.depth_trust)
     }
 }
 

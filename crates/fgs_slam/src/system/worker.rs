@@ -21,6 +21,7 @@ pub struct MapStatus {
     num_gaussians: AtomicUsize,
     steps: AtomicUsize,
     removed: Mutex<Vec<SparseId>>,
+    moved: Mutex<Vec<(KeyframeId, Se3)>>,
 }
 
 impl MapStatus {
@@ -36,13 +37,18 @@ impl MapStatus {
 
     /// Sparse gaussians pruned since the last call.
     pub fn take_removed(&self) -> Vec<SparseId> {
-        std::mem::take(&mut self.lock())
+        std::mem::take(&mut lock(&self.removed))
     }
 
-    /// The list is whole at every moment, also if a thread died holding the lock.
-    fn lock(&self) -> MutexGuard<'_, Vec<SparseId>> {
-        self.removed.lock().unwrap_or_else(PoisonError::into_inner)
+    /// How keyframes moved when they joined the map, each by its `new_world_from_old_world`.
+    pub fn take_moved(&self) -> Vec<(KeyframeId, Se3)> {
+        std::mem::take(&mut lock(&self.moved))
     }
+}
+
+/// What the mapper reports is whole at every moment, also if its thread died holding the lock.
+fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 /// The mapper and what it works off.
@@ -111,8 +117,11 @@ impl MapperWorker {
     }
 
     /// Starts on a keyframe, after the one before it has joined the map.
-    pub fn begin(&mut self, keyframe: Keyframe) -> Result<(), MapperError> {
+    pub fn begin(&mut self, mut keyframe: Keyframe) -> Result<(), MapperError> {
         self.settle()?;
+        if let Some(motion) = self.mapper.align(&mut keyframe)? {
+            lock(&self.status.moved).push((keyframe.id, motion));
+        }
         let missing = self.mapper.missing_region(&keyframe)?;
         self.preparation.begin(keyframe, missing)
     }
@@ -185,7 +194,7 @@ impl MapperWorker {
 
     fn report(&mut self) -> Result<(), MapperError> {
         let mut removed = self.mapper.take_removed()?;
-        self.status.lock().append(&mut removed);
+        lock(&self.status.removed).append(&mut removed);
         let (gaussians, steps) = (self.mapper.num_gaussians(), self.mapper.steps());
         self.status
             .num_gaussians

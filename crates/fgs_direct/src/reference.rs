@@ -1,0 +1,88 @@
+//! The points of a keyframe that say most about motion: those where brightness changes strongly.
+
+use fgs_geom::{Image, has_depth};
+use nalgebra::Vector3;
+
+use crate::{IntensityImage, IntensityPyramid};
+
+/// One point is taken from each cell of so many pixels, so that they lie spread over the image.
+const CELL_PX: usize = 8;
+
+/// A weaker gradient, in brightness a pixel, is mostly noise.
+const MIN_GRADIENT: f32 = 0.01;
+
+/// Next to a step in depth larger than this share, a pixel may show the surface in front or that
+/// behind.
+const MAX_DEPTH_STEP: f32 = 0.05;
+
+/// A point with its brightness.
+#[derive(Clone, Copy, Debug)]
+pub struct ReferencePoint {
+    /// In the reference camera's axes, metres.
+    pub position: Vector3<f64>,
+    /// 0 to 1.
+    pub intensity: f32,
+}
+
+/// What other images are aligned with: points of a keyframe, for each level of a pyramid.
+#[derive(Clone, Debug)]
+pub struct Reference {
+    /// The points of each level, the finest first.
+    pub levels: Vec<Vec<ReferencePoint>>,
+}
+
+impl Reference {
+    /// The points of a keyframe. `depth_m` has the size of the pyramid's finest level.
+    pub fn new(pyramid: &IntensityPyramid, depth_m: &Image<f32>) -> Self {
+        let levels = pyramid.levels.iter().enumerate();
+        Self {
+            levels: levels
+                .map(|(level, image)| points(image, depth_m, 1 << level))
+                .collect(),
+        }
+    }
+}
+
+/// The pixel with the strongest gradient of each cell, where depth is measured and continuous. A
+/// pixel of `image` covers `size` x `size` pixels of `depth_m`.
+fn points(image: &IntensityImage, depth_m: &Image<f32>, size: usize) -> Vec<ReferencePoint> {
+    let (width, height) = (image.camera.width, image.camera.height);
+    let depth_at = |u: usize, v: usize| {
+        let (u, v) = (u * size + size / 2, v * size + size / 2);
+        depth_m.at(u.min(depth_m.width() - 1), v.min(depth_m.height() - 1))
+    };
+    let is_continuous = |u: usize, v: usize| {
+        let depth = depth_at(u, v);
+        let around = [(u - 1, v), (u + 1, v), (u, v - 1), (u, v + 1)];
+        let near = |other: f32| (other / depth - 1.0).abs() <= MAX_DEPTH_STEP;
+        has_depth(depth) && around.iter().all(|&(u, v)| near(depth_at(u, v)))
+    };
+    let mut points = Vec::new();
+    for top in (0..height).step_by(CELL_PX) {
+        for left in (0..width).step_by(CELL_PX) {
+            let rows = top.max(1)..(top + CELL_PX).min(height - 1);
+            let columns = left.max(1)..(left + CELL_PX).min(width - 1);
+            let cell = rows.flat_map(|v| columns.clone().map(move |u| (u, v)));
+            let mut strongest = (MIN_GRADIENT * MIN_GRADIENT, None);
+            for (u, v) in cell {
+                let strength = squared_gradient(image.pixels(), u, v);
+                let is_seen = image.pixels().at(u, v).is_finite();
+                if strength > strongest.0 && is_seen && is_continuous(u, v) {
+                    strongest = (strength, Some((u, v)));
+                }
+            }
+            points.extend(strongest.1.map(|(u, v)| ReferencePoint {
+                position: (image.camera).unproject(u as f64, v as f64, depth_at(u, v).into()),
+                intensity: image.pixels().at(u, v),
+            }));
+        }
+    }
+    points
+}
+
+/// Squared length of the central differences; NaN next to what was not seen.
+fn squared_gradient(pixels: &Image<f32>, u: usize, v: usize) -> f32 {
+    let du = 0.5 * (pixels.at(u + 1, v) - pixels.at(u - 1, v));
+    let dv = 0.5 * (pixels.at(u, v + 1) - pixels.at(u, v - 1));
+    du * du + dv * dv
+}

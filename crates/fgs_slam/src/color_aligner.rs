@@ -1,0 +1,121 @@
+//! Colour in tracking: a frame was taken where keyframes look as bright as the frame does. Where
+//! geometry slides (a wall with posters) colour holds, and the map's colours stay sharp.
+
+use std::collections::VecDeque;
+
+use fgs_direct::{
+    IntensityPyramid, PhotometricAlignment, PosePrior, PosedReference, Reference, align,
+};
+use fgs_geom::{KeyframeId, RgbdFrame, Se3};
+
+/// Levels of the pyramid: at the coarsest, a pixel is eight.
+const LEVELS: usize = 4;
+
+/// The finest level that is aligned: half resolution. At full resolution noise and the sensor's own
+/// interpolation outweigh what is gained.
+pub(crate) const FINEST: usize = 1;
+
+/// So many keyframes are kept to align with.
+const MAX_KEYFRAMES: usize = 64;
+
+/// An older keyframe is aligned with if at least this share of its points is in view.
+const MIN_OVERLAP: f64 = 0.6;
+
+/// Aligns frames with keyframes by their brightness.
+#[derive(Default)]
+pub struct ColorAligner {
+    /// In the order they came.
+    keyframes: VecDeque<ReferenceKeyframe>,
+}
+
+struct ReferenceKeyframe {
+    id: KeyframeId,
+    world_from_camera: Se3,
+    reference: Reference,
+}
+
+impl ColorAligner {
+    /// A frame's brightness at the resolutions that are aligned.
+    pub fn pyramid(frame: &RgbdFrame) -> IntensityPyramid {
+        IntensityPyramid::of_frame(frame, LEVELS)
+    }
+
+    /// The pose of a frame, given what geometry knows of it; `None` if too little is in view.
+    pub fn align(
+        &self,
+        pyramid: &IntensityPyramid,
+        prior: &PosePrior,
+    ) -> Option<PhotometricAlignment> {
+        let chosen = self.choose(pyramid, &prior.world_from_camera);
+        let references: Vec<_> = chosen
+            .map(|keyframe| PosedReference {
+                reference: &keyframe.reference,
+                world_from_reference: keyframe.world_from_camera,
+            })
+            .collect();
+        align(pyramid, &references, prior, FINEST)
+    }
+
+    /// The newest keyframe, and the oldest of which enough is in view: the one is most alike, the
+    /// other keeps errors from adding up.
+    fn choose(
+        &self,
+        pyramid: &IntensityPyramid,
+        world_from_camera: &Se3,
+    ) -> impl Iterator<Item = &ReferenceKeyframe> {
+        let newest = self.keyframes.len().saturating_sub(1);
+        let oldest = self
+            .keyframes
+            .iter()
+            .take(newest)
+            .find(|keyframe| keyframe.share_in_view(pyramid, world_from_camera) >= MIN_OVERLAP);
+        self.keyframes.back().into_iter().chain(oldest)
+    }
+
+    /// A frame became a keyframe; its depth image must be registered to its colour image.
+    pub fn add(
+        &mut self,
+        id: KeyframeId,
+        world_from_camera: Se3,
+        pyramid: &IntensityPyramid,
+        frame: &RgbdFrame,
+    ) {
+        self.keyframes.push_back(ReferenceKeyframe {
+            id,
+            world_from_camera,
+            reference: Reference::new(pyramid, &frame.depth_m),
+        });
+        if self.keyframes.len() > MAX_KEYFRAMES {
+            self.keyframes.pop_front();
+        }
+    }
+
+    /// Keyframes were moved, each by its `new_world_from_old_world`.
+    pub fn move_keyframes(&mut self, moves: &[(KeyframeId, Se3)]) {
+        for keyframe in &mut self.keyframes {
+            for (_, new_from_old) in moves.iter().filter(|(id, _)| *id == keyframe.id) {
+                keyframe.world_from_camera = *new_from_old * keyframe.world_from_camera;
+            }
+        }
+    }
+}
+
+impl ReferenceKeyframe {
+    /// How much of the keyframe a camera sees.
+    fn share_in_view(&self, pyramid: &IntensityPyramid, world_from_camera: &Se3) -> f64 {
+        let Some((image, points)) = pyramid
+            .levels
+            .iter()
+            .zip(&self.reference.levels)
+            .next_back()
+        else {
+            return 0.0;
+        };
+        let camera_from_reference = world_from_camera.inverse() * self.world_from_camera;
+        let seen = points.iter().filter(|point| {
+            let pixel = (image.camera).project(&camera_from_reference.transform(&point.position));
+            pixel.is_some_and(|pixel| image.camera.contains(&pixel))
+        });
+        seen.count() as f64 / points.len().max(1) as f64
+    }
+}
