@@ -64,8 +64,8 @@ pub struct PosedReference<'a> {
     pub world_from_reference: Se3,
 }
 
-/// Aligns an image with keyframes, over the pyramid's levels from the coarsest to `finest`, starting
-/// at the prior's pose. Levels where fewer than 50 points can be compared are left out; `None` if none
+/// Aligns an image with keyframes, over the pyramid's levels from the coarsest to `finest`. Starts at
+/// the prior's pose. Levels where fewer than 50 points can be compared are left out; `None` if none
 /// is left.
 pub fn align(
     image: &IntensityPyramid,
