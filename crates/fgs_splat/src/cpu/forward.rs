@@ -55,9 +55,6 @@ struct Block<T, const N: usize = LANES> {
     green: [T; N],
     blue: [T; N],
     depth: [T; N],
-    /// Product of all `1 - alpha` so far, also of gaussians that the pixel no longer takes: so one
-    /// gaussian waits for the one before it no longer than a multiplication takes.
-    through: [T; N],
     transmittance: [T; N],
     entries_used: [u32; N],
 }
@@ -71,7 +68,6 @@ impl<T: Real> Block<T> {
             green: part(&self.green, first),
             blue: part(&self.blue, first),
             depth: part(&self.depth, first),
-            through: part(&self.through, first),
             transmittance: part(&self.transmittance, first),
             entries_used: part(&self.entries_used, first),
         }
@@ -84,7 +80,6 @@ impl<T: Real> Block<T> {
         set_part(&mut self.green, first, pixels.green);
         set_part(&mut self.blue, first, pixels.blue);
         set_part(&mut self.depth, first, pixels.depth);
-        set_part(&mut self.through, first, pixels.through);
         set_part(&mut self.transmittance, first, pixels.transmittance);
         set_part(&mut self.entries_used, first, pixels.entries_used);
     }
@@ -98,18 +93,17 @@ impl<T: Real> Kernel for BlendTile<'_, T> {
         let grid = self.grid;
         prefetch_splats(self.entries, self.chunks);
         let pixels = TilePixels::new(self.tile, grid, self.camera);
+        let transmittance_min = T::from_f64(TRANSMITTANCE_MIN);
         let zero = [T::ZERO; LANES];
         let mut blocks = [Block {
             red: zero,
             green: zero,
             blue: zero,
             depth: zero,
-            through: zero,
             transmittance: zero,
             entries_used: [0; LANES],
         }; BLOCKS];
         pixels.for_each_pixel(grid, |block, lane, _| {
-            blocks[block].through[lane] = T::ONE;
             blocks[block].transmittance[lane] = T::ONE;
         });
 
@@ -131,20 +125,18 @@ impl<T: Real> Kernel for BlendTile<'_, T> {
                 let mut open = false;
                 for first in (0..LANES).step_by(WIDTH) {
                     let mut state = blocks[block].part::<WIDTH>(first);
-                    let mut part_open = true;
                     let mut touching = touching[block];
-                    while touching != 0 && part_open {
+                    while touching != 0 {
                         let i = touching.trailing_zeros() as usize % BATCH;
                         touching &= touching - 1;
                         let number = (position + i) as u32 + 1;
-                        let outcome = blend_part::<FUSED, WIDTH, T>(
+                        let hit = blend_part::<FUSED, WIDTH, T>(
                             &batch[i], &pixels, block, first, number, &mut state,
                         );
-                        hits[i] |= BlockSet::from(outcome.hit) << block;
-                        part_open = outcome.open;
+                        hits[i] |= BlockSet::from(hit) << block;
                     }
+                    open |= any(state.transmittance.map(|left| left >= transmittance_min));
                     blocks[block].set_part(first, state);
-                    open |= part_open;
                 }
                 if !open {
                     open_blocks &= !(1 << block);
@@ -182,15 +174,14 @@ fn transpose(entries: &[Entry]) -> [u32; BLOCKS] {
     by_block
 }
 
-/// What became of the pixels.
-struct Outcome {
-    /// A pixel took the gaussian.
-    hit: bool,
-    /// A pixel can take more.
-    open: bool,
+/// Whether one is true.
+#[inline(always)]
+fn any<const WIDTH: usize>(lanes: [bool; WIDTH]) -> bool {
+    lanes.iter().fold(false, |any, lane| any | lane)
 }
 
 /// Blends a splat, entry number `number` from 1, over the pixels of a block from `first` on.
+/// Whether a pixel took it.
 #[inline(always)]
 fn blend_part<const FUSED: bool, const WIDTH: usize, T: Real>(
     splat: &Splat<T>,
@@ -199,21 +190,18 @@ fn blend_part<const FUSED: bool, const WIDTH: usize, T: Real>(
     first: usize,
     number: u32,
     pixel: &mut Block<T, WIDTH>,
-) -> Outcome {
+) -> bool {
     // A copy, so that a lane's choice between two fields is no conditional load.
     let splat = *splat;
     let alpha_min = T::from_f64(ALPHA_MIN);
     let alpha_max = T::from_f64(ALPHA_MAX);
     let transmittance_min = T::from_f64(TRANSMITTANCE_MIN);
-    // Far under the least transmittance, and far over where numbers lose digits.
-    let through_min = T::from_f64(1e-30);
     let x = pixels.block_x[block] - splat.mean2d[0];
     let y = pixels.block_y[block] - splat.mean2d[1];
     let lane_x: [T; WIDTH] = part(&pixels.lane_x, first);
     let lane_y: [T; WIDTH] = part(&pixels.lane_y, first);
     let min_n_ray: [T; WIDTH] = part(&pixels.min_n_ray[block], first);
-    let mut taken = [0_u32; WIDTH];
-    let mut open = [0_u32; WIDTH];
+    let mut taken = [false; WIDTH];
     for lane in 0..WIDTH {
         let dx = x + lane_x[lane];
         let dy = y + lane_y[lane];
@@ -223,29 +211,22 @@ fn blend_part<const FUSED: bool, const WIDTH: usize, T: Real>(
         } else {
             splat.center_depth
         };
-        let drawn = sample.alpha >= alpha_min;
-        let alpha = if drawn {
+        let before = pixel.transmittance[lane];
+        let takes = (sample.alpha >= alpha_min) & (before >= transmittance_min);
+        let alpha = if takes {
             sample.alpha.min(alpha_max)
         } else {
             T::ZERO
         };
-        let before = pixel.through[lane];
-        let after = before * (T::ONE - alpha);
-        pixel.through[lane] = after.max(through_min);
-        let takes = drawn & (before >= transmittance_min);
-        let weight = if takes { before * alpha } else { T::ZERO };
+        let weight = before * alpha;
         pixel.red[lane] = mul_add::<FUSED, T>(weight, splat.color[0], pixel.red[lane]);
         pixel.green[lane] = mul_add::<FUSED, T>(weight, splat.color[1], pixel.green[lane]);
         pixel.blue[lane] = mul_add::<FUSED, T>(weight, splat.color[2], pixel.blue[lane]);
         pixel.depth[lane] = mul_add::<FUSED, T>(weight, depth, pixel.depth[lane]);
-        let (transmittance, used) = (pixel.transmittance[lane], pixel.entries_used[lane]);
-        pixel.transmittance[lane] = if takes { after } else { transmittance };
+        pixel.transmittance[lane] = before * (T::ONE - alpha);
+        let used = pixel.entries_used[lane];
         pixel.entries_used[lane] = if takes { number } else { used };
-        taken[lane] = u32::from(takes);
-        open[lane] = u32::from(after >= transmittance_min);
+        taken[lane] = takes;
     }
-    Outcome {
-        hit: taken != [0; WIDTH],
-        open: open != [0; WIDTH],
-    }
+    any(taken)
 }
