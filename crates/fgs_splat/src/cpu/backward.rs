@@ -4,17 +4,20 @@
 
 use std::hint::black_box;
 
-use super::bounds::{BLOCKS, TileGrid};
+use super::bounds::{BlockSet, TILE_PIXELS, TileGrid};
 use super::chunks::Chunk;
 use super::forward::TileState;
-use super::lanes::{LANES, Lanes, part, set_part};
+use super::lanes::{LANES, group, group_mut};
 use super::project::{ScreenCamera, Splat};
 use super::project_vjp::{PixelSums, sum};
 use super::real::Real;
 use super::sample::{Sample, TilePixels};
-use super::tiles::{BATCH, Entry, load_splats, prefetch_splats};
+use super::tiles::{Entry, load_splats, prefetch_splats};
 use crate::kernel::{Kernel, mul_add};
 use crate::rendering::{ALPHA_MAX, ALPHA_MIN};
+
+/// Entries that are loaded together.
+const BATCH: usize = 32;
 
 /// Differentiates one tile. Run it through [`crate::kernel::dispatch`].
 pub(super) struct BlendTileVjp<'a, T: Real> {
@@ -37,19 +40,17 @@ pub(super) struct BlendTileVjp<'a, T: Real> {
     pub sums: &'a mut [PixelSums<T>],
 }
 
-/// What the walk over the list knows of a block's pixels.
-#[derive(Clone, Copy)]
-struct Block<T> {
-    d_red: Lanes<T>,
-    d_green: Lanes<T>,
-    d_blue: Lanes<T>,
-    d_depth: Lanes<T>,
-    d_alpha: Lanes<T>,
+/// What the walk over the list knows of a tile's pixels.
+struct Pixels<T> {
+    d_red: [T; TILE_PIXELS],
+    d_green: [T; TILE_PIXELS],
+    d_blue: [T; TILE_PIXELS],
+    d_depth: [T; TILE_PIXELS],
+    d_alpha: [T; TILE_PIXELS],
     /// In front of what has been walked over.
-    transmittance: Lanes<T>,
+    transmittance: [T; TILE_PIXELS],
     /// The loss's derivative along all that has been walked over, as one colour.
-    behind: Lanes<T>,
-    entries_used: Lanes<u32>,
+    behind: [T; TILE_PIXELS],
 }
 
 /// Lane sums of one entry.
@@ -62,31 +63,31 @@ impl<T: Real> Kernel for BlendTileVjp<'_, T> {
     fn run<const FUSED: bool, const WIDTH: usize>(self) {
         let last = self.entries.len().saturating_sub(1) / BATCH * BATCH;
         prefetch_splats(&self.entries[last..], self.chunks);
-        let pixels = TilePixels::new(self.tile, self.grid, self.camera);
-        let zero = [T::ZERO; LANES];
-        let mut any_depth = false;
-        let mut blocks: [Block<T>; BLOCKS] = std::array::from_fn(|block| Block {
+        let tile = TilePixels::new(self.tile, self.grid, self.camera);
+        let zero = [T::ZERO; TILE_PIXELS];
+        let mut pixels = Pixels {
             d_red: zero,
             d_green: zero,
             d_blue: zero,
             d_depth: zero,
             d_alpha: zero,
-            transmittance: self.state.transmittance[block],
+            transmittance: self.state.transmittance,
             behind: zero,
-            entries_used: self.state.entries_used[block],
+        };
+        tile.for_each_pixel(self.grid, |place, pixel| {
+            let [red, green, blue] = self.d_color[pixel];
+            pixels.d_red[place] = red;
+            pixels.d_green[place] = green;
+            pixels.d_blue[place] = blue;
+            pixels.d_depth[place] = self.d_depth_m[pixel];
+            pixels.d_alpha[place] = self.d_alpha[pixel];
         });
-        pixels.for_each_pixel(self.grid, |block, lane, pixel| {
-            let block = &mut blocks[block];
-            [block.d_red[lane], block.d_green[lane], block.d_blue[lane]] = self.d_color[pixel];
-            block.d_depth[lane] = self.d_depth_m[pixel];
-            any_depth |= self.d_depth_m[pixel] != T::ZERO;
-            block.d_alpha[lane] = self.d_alpha[pixel];
-        });
+        let any_depth = pixels.d_depth.iter().fold(false, |any, d| any | (*d != T::ZERO));
 
         if any_depth {
-            self.walk::<FUSED, WIDTH, true>(&pixels, &mut blocks);
+            self.walk::<FUSED, WIDTH, true>(&tile, &mut pixels);
         } else {
-            self.walk::<FUSED, WIDTH, false>(&pixels, &mut blocks);
+            self.walk::<FUSED, WIDTH, false>(&tile, &mut pixels);
         }
     }
 }
@@ -97,8 +98,8 @@ impl<T: Real> BlendTileVjp<'_, T> {
     #[inline(always)]
     fn walk<const FUSED: bool, const WIDTH: usize, const DEPTH: bool>(
         self,
-        pixels: &TilePixels<T>,
-        blocks: &mut [Block<T>; BLOCKS],
+        tile: &TilePixels<T>,
+        pixels: &mut Pixels<T>,
     ) {
         let used_sums = if DEPTH { sum::OF_PIXELS } else { sum::OF_DEPTH };
         let mut batch = [Splat::default(); BATCH];
@@ -116,21 +117,19 @@ impl<T: Real> BlendTileVjp<'_, T> {
                 }
                 let position = (start + i) as u32;
                 let mut lane_sums = [[T::ZERO; WIDTH]; sum::OF_PIXELS];
-                let mut taken = entry.blocks;
+                let mut taken = groups::<WIDTH>(entry.blocks);
                 while taken != 0 {
-                    let block = taken.trailing_zeros() as usize % BLOCKS;
+                    let number = taken.trailing_zeros() as usize / (WIDTH / LANES);
                     taken &= taken - 1;
-                    for first in (0..LANES).step_by(WIDTH) {
-                        blend_part_vjp::<FUSED, WIDTH, DEPTH, T>(
-                            &batch[i],
-                            pixels,
-                            block,
-                            first,
-                            position,
-                            &mut blocks[block],
-                            &mut lane_sums,
-                        );
-                    }
+                    blend_vjp::<FUSED, WIDTH, DEPTH, T>(
+                        &batch[i],
+                        tile,
+                        number,
+                        position,
+                        &self.state.entries_used,
+                        pixels,
+                        &mut lane_sums,
+                    );
                 }
                 for (quarters, lanes) in quarters[i].iter_mut().zip(&lane_sums).take(used_sums) {
                     *quarters = add_quarters(lanes);
@@ -170,38 +169,42 @@ fn add_quarters<T: Real, const WIDTH: usize>(lanes: &[T; WIDTH]) -> [T; 4] {
     })
 }
 
-/// Walks over a splat, entry number `position` from 0, at the pixels of a block from `first` on.
+/// The groups of `WIDTH` pixels that hold these blocks: a bit at the first block of each.
 #[inline(always)]
-fn blend_part_vjp<const FUSED: bool, const WIDTH: usize, const DEPTH: bool, T: Real>(
+fn groups<const WIDTH: usize>(blocks: BlockSet) -> BlockSet {
+    if WIDTH == LANES {
+        blocks
+    } else {
+        (blocks | blocks >> 1) & (BlockSet::MAX / 3)
+    }
+}
+
+/// Walks over a splat, entry number `position` from 0, at a group of pixels.
+#[inline(always)]
+fn blend_vjp<const FUSED: bool, const WIDTH: usize, const DEPTH: bool, T: Real>(
     splat: &Splat<T>,
-    pixels: &TilePixels<T>,
-    block: usize,
-    first: usize,
+    tile: &TilePixels<T>,
+    number: usize,
     position: u32,
-    pixel: &mut Block<T>,
+    entries_used: &[u32; TILE_PIXELS],
+    pixels: &mut Pixels<T>,
     sums: &mut LaneSums<T, WIDTH>,
 ) {
     // A copy, so that a lane's choice between two fields is no conditional load.
     let splat = *splat;
     let alpha_min = T::from_f64(ALPHA_MIN);
     let alpha_max = T::from_f64(ALPHA_MAX);
-    let x = pixels.block_x[block] - splat.mean2d[0];
-    let y = pixels.block_y[block] - splat.mean2d[1];
-    let lane_x: [T; WIDTH] = part(&pixels.lane_x, first);
-    let lane_y: [T; WIDTH] = part(&pixels.lane_y, first);
-    let min_n_ray: [T; WIDTH] = part(&pixels.min_n_ray[block], first);
-    let d_red: [T; WIDTH] = part(&pixel.d_red, first);
-    let d_green: [T; WIDTH] = part(&pixel.d_green, first);
-    let d_blue: [T; WIDTH] = part(&pixel.d_blue, first);
-    let d_depth: [T; WIDTH] = part(&pixel.d_depth, first);
-    let d_alpha: [T; WIDTH] = part(&pixel.d_alpha, first);
-    let entries_used: [u32; WIDTH] = part(&pixel.entries_used, first);
-    let mut transmittances: [T; WIDTH] = part(&pixel.transmittance, first);
-    let mut behinds: [T; WIDTH] = part(&pixel.behind, first);
+    let [u, v, min_n_ray] = tile.group::<WIDTH>(number);
+    let d_red: [T; WIDTH] = *group(&pixels.d_red, number);
+    let d_green: [T; WIDTH] = *group(&pixels.d_green, number);
+    let d_blue: [T; WIDTH] = *group(&pixels.d_blue, number);
+    let d_depth: [T; WIDTH] = *group(&pixels.d_depth, number);
+    let d_alpha: [T; WIDTH] = *group(&pixels.d_alpha, number);
+    let entries_used: [u32; WIDTH] = *group(entries_used, number);
+    let mut transmittances: [T; WIDTH] = *group(&pixels.transmittance, number);
+    let mut behinds: [T; WIDTH] = *group(&pixels.behind, number);
     for lane in 0..WIDTH {
-        let dx = x + lane_x[lane];
-        let dy = y + lane_y[lane];
-        let sample = Sample::new::<FUSED>(&splat, dx, dy, min_n_ray[lane]);
+        let sample = Sample::new::<FUSED>(&splat, u[lane], v[lane], min_n_ray[lane]);
         let took = (sample.alpha >= alpha_min) & (position < entries_used[lane]);
         let alpha = if took {
             sample.alpha.min(alpha_max)
@@ -277,6 +280,6 @@ fn blend_part_vjp<const FUSED: bool, const WIDTH: usize, const DEPTH: bool, T: R
             sums[sum::HTT][lane] += htt;
         }
     }
-    set_part(&mut pixel.transmittance, first, transmittances);
-    set_part(&mut pixel.behind, first, behinds);
+    *group_mut(&mut pixels.transmittance, number) = transmittances;
+    *group_mut(&mut pixels.behind, number) = behinds;
 }

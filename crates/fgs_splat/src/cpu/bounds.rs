@@ -1,31 +1,34 @@
 //! Which pixel blocks a gaussian's support touches.
 //!
-//! An image is cut into tiles of 32x16 pixels and each tile into 8x4 blocks of 4x4 pixels, whose
-//! 16 pixels the blending handles as 16 lanes. Bounds come from the ellipse itself and are never
-//! too small: blending decides each pixel anyway.
+//! An image is cut into tiles of 32x16 pixels and each tile into 16x4 blocks of 2x4 pixels, which
+//! are 8 lanes of the blending; where it has 16 lanes it takes two neighbouring blocks, 4x4 pixels.
+//! Bounds come from the ellipse itself and are never too small: blending decides each pixel anyway.
 
-use super::lanes::{LANES, Lanes};
+use super::lanes::LANES;
 use super::project::Splat;
 use super::real::Real;
 use crate::rendering::ALPHA_MIN;
 
-/// Pixels along a side of a block. 4x4 blocks waste fewer lanes at an ellipse's rim than 16x1.
-pub(super) const BLOCK: usize = 4;
-/// A block's pixels are worked on together.
-const _: () = assert!(BLOCK * BLOCK == LANES);
-/// Blocks from left to right of a tile: as many as the nearest cache holds what is known of their
-/// pixels, since every tile that a gaussian touches costs something.
-pub(super) const TILE_COLUMNS: usize = 8;
+/// Pixels from left to right of a block.
+pub(super) const BLOCK_WIDTH: usize = 2;
+/// Pixels from top to bottom of a block.
+pub(super) const BLOCK_HEIGHT: usize = 4;
+const _: () = assert!(BLOCK_WIDTH * BLOCK_HEIGHT == LANES);
+/// Blocks from left to right of a tile. Tiles are as large as the nearest cache holds the state of
+/// their pixels, since a gaussian costs something in every tile that it touches.
+pub(super) const TILE_COLUMNS: usize = 16;
 /// Blocks from top to bottom of a tile.
 pub(super) const TILE_ROWS: usize = 4;
 /// Blocks of a tile.
 pub(super) const BLOCKS: usize = TILE_COLUMNS * TILE_ROWS;
 /// Pixels from left to right of a tile.
-pub(super) const TILE_WIDTH: usize = BLOCK * TILE_COLUMNS;
+pub(super) const TILE_WIDTH: usize = BLOCK_WIDTH * TILE_COLUMNS;
 /// Pixels from top to bottom of a tile.
-pub(super) const TILE_HEIGHT: usize = BLOCK * TILE_ROWS;
+pub(super) const TILE_HEIGHT: usize = BLOCK_HEIGHT * TILE_ROWS;
+/// Pixels of a tile.
+pub(super) const TILE_PIXELS: usize = LANES * BLOCKS;
 /// A bit for each block of a tile: bit `TILE_COLUMNS * row + column`.
-pub(super) type BlockSet = u32;
+pub(super) type BlockSet = u64;
 const _: () = assert!(BLOCKS == BlockSet::BITS as usize);
 
 /// A gaussian's presence in a tile.
@@ -78,8 +81,11 @@ pub(super) struct Support<T> {
 pub(crate) const SLACK_PX: f64 = 1e-2;
 
 /// Tiles of a row that are worked on together: a bit for each of their columns of blocks, one
-/// after the last included, fits into 32.
+/// after the last included, fits into 64.
 const STRIP: i32 = 3;
+
+/// Rows of blocks that are worked on together.
+const BANDS: usize = 16;
 
 /// A bit for each column of blocks of a tile.
 const ROW: BlockSet = (1 << TILE_COLUMNS) - 1;
@@ -119,7 +125,7 @@ impl<T: Real> Support<T> {
         }
         let (tile, tile_blocks) = (TILE_HEIGHT as i32, TILE_COLUMNS as i32);
         let last_tile_row = self.last_row / tile;
-        for group in (self.first_row / tile..=last_tile_row).step_by(LANES / TILE_ROWS) {
+        for group in (self.first_row / tile..=last_tile_row).step_by(BANDS / TILE_ROWS) {
             let (first, end) = self.columns(splat, grid, group * tile);
             let first_tile = first.iter().fold(i32::MAX, |a, &b| a.min(b)) / tile_blocks;
             let end_tile = (end.iter().fold(0, |a, &b| a.max(b)) + tile_blocks - 1) / tile_blocks;
@@ -127,8 +133,8 @@ impl<T: Real> Support<T> {
                 let origin = strip * tile_blocks;
                 let width = STRIP * tile_blocks;
                 // Bands one block high, which make whole rows of tiles.
-                let mut bands: Lanes<BlockSet> = [0; LANES];
-                for lane in 0..LANES {
+                let mut bands: [BlockSet; BANDS] = [0; BANDS];
+                for lane in 0..BANDS {
                     let from = (first[lane] - origin).max(0).min(width);
                     let to = (end[lane] - origin).min(width).max(from);
                     bands[lane] = (1 << to) - (1 << from);
@@ -158,20 +164,20 @@ impl<T: Real> Support<T> {
     /// first begins with that row of pixels. The first is `i32::MAX` / 2 and the last 0 where there
     /// is none.
     #[inline(always)]
-    fn columns(&self, splat: &Splat<T>, grid: &TileGrid, row: i32) -> (Lanes<i32>, Lanes<i32>) {
+    fn columns(&self, splat: &Splat<T>, grid: &TileGrid, row: i32) -> ([i32; BANDS], [i32; BANDS]) {
         let slack = T::from_f64(SLACK_PX);
         let (wxy, wyy) = (splat.whiten_xy, splat.whiten_yy);
         let [mean_x, mean_y] = splat.mean2d;
-        let block = BLOCK as i32;
+        let (block_width, block_height) = (BLOCK_WIDTH as i32, BLOCK_HEIGHT as i32);
         let width = T::ONE / splat.whiten_xx;
         let edge = |dy: T, side: T| {
             let q = wyy * dy;
             (side * (self.radius2 - q * q).max(T::ZERO).sqrt() - wxy * dy) * width
         };
-        let (mut firsts, mut ends) = ([0; LANES], [0; LANES]);
-        for lane in 0..LANES {
-            let top = row + lane as i32 * block;
-            let bottom = (top + block - 1).min(self.last_row);
+        let (mut firsts, mut ends) = ([0; BANDS], [0; BANDS]);
+        for lane in 0..BANDS {
+            let top = row + lane as i32 * block_height;
+            let bottom = (top + block_height - 1).min(self.last_row);
             let top = top.max(self.first_row);
             let dy_top = T::from_i32(top) - mean_y - slack;
             let dy_bottom = T::from_i32(bottom) - mean_y + slack;
@@ -179,8 +185,8 @@ impl<T: Real> Support<T> {
             let left = edge((-self.rightmost_dy).max(dy_top).min(dy_bottom), -T::ONE) - slack;
             let (first, last) = pixels(mean_x + left, mean_x + right, grid.width);
             let touched = (top <= bottom) & (first <= last);
-            firsts[lane] = if touched { first / block } else { i32::MAX / 2 };
-            ends[lane] = if touched { last / block + 1 } else { 0 };
+            firsts[lane] = if touched { first / block_width } else { i32::MAX / 2 };
+            ends[lane] = if touched { last / block_width + 1 } else { 0 };
         }
         (firsts, ends)
     }

@@ -1,13 +1,14 @@
 //! Leaves out gaussians that cannot reach the image, by their centre and longest axis alone: most
 //! of a map is out of view. Never leaves out one that reaches it; `bounds` decides exactly.
 
-use super::lanes::LANES;
 use super::project::ScreenCamera;
 use super::real::Real;
 use crate::Gaussians;
 use crate::kernel::mul_add;
 use crate::rendering::{ALPHA_MIN, LOW_PASS_PX2, NEAR_M};
 
+/// Gaussians that are looked at together.
+const LANES: usize = 16;
 /// Pixels beyond the border that still count as in view, for what rounding does.
 const SLACK_PX: f64 = 1.0;
 

@@ -1,33 +1,37 @@
-//! Blends one tile's list front to back into colour, depth and transmittance, block by block of
-//! 16 pixels. A block whose pixels are all saturated takes no further gaussian, and a tile of such
-//! blocks ends its list. Some dozen entries are blended into one block, or into as much of it as
-//! registers hold, then into the next: what is known of its pixels stays in registers meanwhile.
+//! Blends one tile's list front to back into colour, depth and transmittance, group by group of
+//! pixels. A group whose pixels are all saturated takes no further gaussian, and a tile of such
+//! groups ends its list. Some dozen entries are blended into one group, then into the next, so that
+//! its state stays in registers meanwhile; all are evaluated before the first is blended, because
+//! blending is a chain in which each waits for the one before.
 
-use super::bounds::{BLOCKS, BlockSet, TileGrid};
+use super::bounds::{BLOCKS, TILE_PIXELS, TileGrid};
 use super::chunks::Chunk;
-use super::lanes::{LANES, Lanes, part, set_part};
+use super::lanes::{LANES, any, group, group_mut};
 use super::project::{ScreenCamera, Splat};
 use super::real::Real;
 use super::sample::{Sample, TilePixels};
-use super::tiles::{BATCH, Entry, load_splats, prefetch_splats, take_front};
+use super::tiles::{Entry, load_splats, prefetch_splats, take_front};
 use crate::kernel::{Kernel, mul_add};
 use crate::rendering::{ALPHA_MAX, ALPHA_MIN, TRANSMITTANCE_MIN};
+
+/// Entries that are loaded together: a bit for each.
+const BATCH: usize = u64::BITS as usize;
 
 /// What the backward pass needs to know of a tile's pixels.
 #[derive(Clone, Debug)]
 #[repr(align(64))]
 pub(super) struct TileState<T> {
     /// After the last gaussian; 0 outside the image.
-    pub transmittance: [Lanes<T>; BLOCKS],
+    pub transmittance: [T; TILE_PIXELS],
     /// How many entries of the tile's list precede or are the last that contributed.
-    pub entries_used: [Lanes<u32>; BLOCKS],
+    pub entries_used: [u32; TILE_PIXELS],
 }
 
 impl<T: Real> Default for TileState<T> {
     fn default() -> Self {
         Self {
-            transmittance: [[T::ZERO; LANES]; BLOCKS],
-            entries_used: [[0; LANES]; BLOCKS],
+            transmittance: [T::ZERO; TILE_PIXELS],
+            entries_used: [0; TILE_PIXELS],
         }
     }
 }
@@ -48,9 +52,9 @@ pub(super) struct BlendTile<'a, T: Real> {
     pub alpha: &'a mut [T],
 }
 
-/// What the blending knows of a block's pixels, or of some of them.
+/// The state of a tile's pixels, or of a group of them.
 #[derive(Clone, Copy)]
-struct Block<T, const N: usize = LANES> {
+struct Pixels<T, const N: usize = TILE_PIXELS> {
     red: [T; N],
     green: [T; N],
     blue: [T; N],
@@ -59,29 +63,27 @@ struct Block<T, const N: usize = LANES> {
     entries_used: [u32; N],
 }
 
-impl<T: Real> Block<T> {
-    /// The pixels from `first` on.
+impl<T: Real> Pixels<T> {
     #[inline(always)]
-    fn part<const WIDTH: usize>(&self, first: usize) -> Block<T, WIDTH> {
-        Block {
-            red: part(&self.red, first),
-            green: part(&self.green, first),
-            blue: part(&self.blue, first),
-            depth: part(&self.depth, first),
-            transmittance: part(&self.transmittance, first),
-            entries_used: part(&self.entries_used, first),
+    fn group<const WIDTH: usize>(&self, number: usize) -> Pixels<T, WIDTH> {
+        Pixels {
+            red: *group(&self.red, number),
+            green: *group(&self.green, number),
+            blue: *group(&self.blue, number),
+            depth: *group(&self.depth, number),
+            transmittance: *group(&self.transmittance, number),
+            entries_used: *group(&self.entries_used, number),
         }
     }
 
-    /// Puts the pixels from `first` on back.
     #[inline(always)]
-    fn set_part<const WIDTH: usize>(&mut self, first: usize, pixels: Block<T, WIDTH>) {
-        set_part(&mut self.red, first, pixels.red);
-        set_part(&mut self.green, first, pixels.green);
-        set_part(&mut self.blue, first, pixels.blue);
-        set_part(&mut self.depth, first, pixels.depth);
-        set_part(&mut self.transmittance, first, pixels.transmittance);
-        set_part(&mut self.entries_used, first, pixels.entries_used);
+    fn set_group<const WIDTH: usize>(&mut self, number: usize, pixels: Pixels<T, WIDTH>) {
+        *group_mut(&mut self.red, number) = pixels.red;
+        *group_mut(&mut self.green, number) = pixels.green;
+        *group_mut(&mut self.blue, number) = pixels.blue;
+        *group_mut(&mut self.depth, number) = pixels.depth;
+        *group_mut(&mut self.transmittance, number) = pixels.transmittance;
+        *group_mut(&mut self.entries_used, number) = pixels.entries_used;
     }
 }
 
@@ -91,142 +93,207 @@ impl<T: Real> Kernel for BlendTile<'_, T> {
     #[inline(always)]
     fn run<const FUSED: bool, const WIDTH: usize>(self) {
         let grid = self.grid;
-        prefetch_splats(self.entries, self.chunks);
-        let pixels = TilePixels::new(self.tile, grid, self.camera);
-        let transmittance_min = T::from_f64(TRANSMITTANCE_MIN);
-        let zero = [T::ZERO; LANES];
-        let mut blocks = [Block {
-            red: zero,
-            green: zero,
-            blue: zero,
-            depth: zero,
-            transmittance: zero,
-            entries_used: [0; LANES],
-        }; BLOCKS];
-        pixels.for_each_pixel(grid, |block, lane, _| {
-            blocks[block].transmittance[lane] = T::ONE;
-        });
+        prefetch_splats(&self.entries[..BATCH.min(self.entries.len())], self.chunks);
+        let tile = TilePixels::new(self.tile, grid, self.camera);
+        let mut pixels = Pixels {
+            red: [T::ZERO; TILE_PIXELS],
+            green: [T::ZERO; TILE_PIXELS],
+            blue: [T::ZERO; TILE_PIXELS],
+            depth: [T::ZERO; TILE_PIXELS],
+            transmittance: [T::ZERO; TILE_PIXELS],
+            entries_used: [0; TILE_PIXELS],
+        };
+        tile.for_each_pixel(grid, |place, _| pixels.transmittance[place] = T::ONE);
 
-        let mut open_blocks = BlockSet::MAX;
+        let blocks_of_group = WIDTH / LANES;
+        let groups = BLOCKS / blocks_of_group;
+        let mut open_groups = u64::MAX >> (u64::BITS as usize - groups);
         let mut batch = [Splat::default(); BATCH];
+        let mut samples = [Evaluated {
+            alpha: [T::ZERO; WIDTH],
+            depth: [T::ZERO; WIDTH],
+        }; BATCH];
         let mut rest = self.entries;
-        let mut position = 0;
-        while !rest.is_empty() && open_blocks != 0 {
+        let mut first = 0;
+        while !rest.is_empty() && open_groups != 0 {
             let len = BATCH.min(rest.len());
             let entries = take_front(&mut rest, len);
             load_splats(entries, self.chunks, &mut batch);
-            prefetch_splats(rest, self.chunks);
-            let touching = transpose(entries);
-            let mut hits = [0; BATCH];
-            for block in 0..BLOCKS {
-                if open_blocks & 1 << block == 0 {
+            prefetch_splats(&rest[..BATCH.min(rest.len())], self.chunks);
+            // A row for each block with a bit for each entry.
+            let mut touching = [0; BLOCKS];
+            for (blocks, entry) in touching.iter_mut().zip(entries.iter()) {
+                *blocks = entry.blocks;
+            }
+            transpose(&mut touching);
+            let mut hits = [0; BLOCKS];
+            for number in 0..groups {
+                let blocks = number * blocks_of_group..(number + 1) * blocks_of_group;
+                let touching = touching[blocks.clone()].iter().fold(0, |any, row| any | row);
+                if touching == 0 || open_groups >> number & 1 == 0 {
                     continue;
                 }
-                let mut open = false;
-                for first in (0..LANES).step_by(WIDTH) {
-                    let mut state = blocks[block].part::<WIDTH>(first);
-                    let mut touching = touching[block];
-                    while touching != 0 {
-                        let i = touching.trailing_zeros() as usize % BATCH;
-                        touching &= touching - 1;
-                        let number = (position + i) as u32 + 1;
-                        let hit = blend_part::<FUSED, WIDTH, T>(
-                            &batch[i], &pixels, block, first, number, &mut state,
-                        );
-                        hits[i] |= BlockSet::from(hit) << block;
-                    }
-                    open |= any(state.transmittance.map(|left| left >= transmittance_min));
-                    blocks[block].set_part(first, state);
+                let mut count = 0;
+                for i in ones(touching) {
+                    samples[count % BATCH] = evaluate::<FUSED, WIDTH, T>(&batch[i], &tile, number);
+                    count += 1;
                 }
-                if !open {
-                    open_blocks &= !(1 << block);
+                let mut group = pixels.group::<WIDTH>(number);
+                let mut taken = 0;
+                for (i, sample) in ones(touching).zip(&samples) {
+                    let used = (first + i) as u32 + 1;
+                    let took = blend::<FUSED, WIDTH, T>(&batch[i], sample, used, &mut group);
+                    taken |= u64::from(took) << i;
+                }
+                pixels.set_group(number, group);
+                hits[blocks].fill(taken);
+                let transmittance_min = T::from_f64(TRANSMITTANCE_MIN);
+                if !any(group.transmittance.map(|left| left >= transmittance_min)) {
+                    open_groups &= !(1 << number);
                 }
             }
-            for (entry, hits) in entries.iter_mut().zip(hits) {
-                entry.blocks = hits;
+            transpose(&mut hits);
+            for (entry, blocks) in entries.iter_mut().zip(hits) {
+                entry.blocks = blocks;
             }
-            position += BATCH;
+            first += BATCH;
         }
         for entry in rest {
             entry.blocks = 0;
         }
 
-        pixels.for_each_pixel(grid, |block, lane, pixel| {
-            let block = &blocks[block];
-            self.color[pixel] = [block.red[lane], block.green[lane], block.blue[lane]];
-            self.depth_m[pixel] = block.depth[lane];
-            self.alpha[pixel] = T::ONE - block.transmittance[lane];
+        tile.for_each_pixel(grid, |place, pixel| {
+            self.color[pixel] = [pixels.red[place], pixels.green[place], pixels.blue[place]];
+            self.depth_m[pixel] = pixels.depth[place];
+            self.alpha[pixel] = T::ONE - pixels.transmittance[place];
         });
-        self.state.transmittance = blocks.map(|block| block.transmittance);
-        self.state.entries_used = blocks.map(|block| block.entries_used);
+        self.state.transmittance = pixels.transmittance;
+        self.state.entries_used = pixels.entries_used;
     }
 }
 
-/// For each block the entries that touch it, as bits.
+/// The numbers of the bits that are set, ascending.
 #[inline(always)]
-fn transpose(entries: &[Entry]) -> [u32; BLOCKS] {
-    let mut by_block = [0; BLOCKS];
-    for (i, entry) in entries.iter().enumerate().take(BATCH) {
-        for (block, bits) in by_block.iter_mut().enumerate() {
-            *bits |= (entry.blocks >> block & 1) << i;
+fn ones(mut bits: u64) -> impl Iterator<Item = usize> {
+    std::iter::from_fn(move || {
+        let lowest = (bits != 0).then(|| bits.trailing_zeros() as usize % BATCH);
+        bits &= bits.wrapping_sub(1);
+        lowest
+    })
+}
+
+/// Bit `j` of row `i` becomes bit `i` of row `j`.
+#[inline(always)]
+fn transpose(rows: &mut [u64; 64]) {
+    swap_quarters::<32>(rows);
+    swap_quarters::<16>(rows);
+    swap_quarters::<8>(rows);
+    swap_quarters::<4>(rows);
+    swap_quarters::<2>(rows);
+    swap_quarters::<1>(rows);
+}
+
+/// Of each square of `2 HALF` bits swaps the upper right and the lower left quarter.
+#[inline(always)]
+fn swap_quarters<const HALF: usize>(rows: &mut [u64; 64]) {
+    let left = u64::MAX / ((1 << HALF) + 1);
+    for square in rows.chunks_exact_mut(2 * HALF) {
+        let (upper, lower) = square.split_at_mut(HALF);
+        for (upper, lower) in upper.iter_mut().zip(lower) {
+            let changed = (*upper >> HALF ^ *lower) & left;
+            *upper ^= changed << HALF;
+            *lower ^= changed;
         }
     }
-    by_block
 }
 
-/// Whether one is true.
-#[inline(always)]
-fn any<const WIDTH: usize>(lanes: [bool; WIDTH]) -> bool {
-    lanes.iter().fold(false, |any, lane| any | lane)
+/// A splat at a group of pixels.
+#[derive(Clone, Copy)]
+struct Evaluated<T, const WIDTH: usize> {
+    /// Not clamped.
+    alpha: [T; WIDTH],
+    depth: [T; WIDTH],
 }
 
-/// Blends a splat, entry number `number` from 1, over the pixels of a block from `first` on.
-/// Whether a pixel took it.
 #[inline(always)]
-fn blend_part<const FUSED: bool, const WIDTH: usize, T: Real>(
+fn evaluate<const FUSED: bool, const WIDTH: usize, T: Real>(
     splat: &Splat<T>,
-    pixels: &TilePixels<T>,
-    block: usize,
-    first: usize,
-    number: u32,
-    pixel: &mut Block<T, WIDTH>,
-) -> bool {
+    tile: &TilePixels<T>,
+    number: usize,
+) -> Evaluated<T, WIDTH> {
     // A copy, so that a lane's choice between two fields is no conditional load.
     let splat = *splat;
-    let alpha_min = T::from_f64(ALPHA_MIN);
-    let alpha_max = T::from_f64(ALPHA_MAX);
-    let transmittance_min = T::from_f64(TRANSMITTANCE_MIN);
-    let x = pixels.block_x[block] - splat.mean2d[0];
-    let y = pixels.block_y[block] - splat.mean2d[1];
-    let lane_x: [T; WIDTH] = part(&pixels.lane_x, first);
-    let lane_y: [T; WIDTH] = part(&pixels.lane_y, first);
-    let min_n_ray: [T; WIDTH] = part(&pixels.min_n_ray[block], first);
-    let mut taken = [false; WIDTH];
+    let [u, v, min_n_ray] = tile.group::<WIDTH>(number);
+    let mut evaluated = Evaluated {
+        alpha: [T::ZERO; WIDTH],
+        depth: [T::ZERO; WIDTH],
+    };
     for lane in 0..WIDTH {
-        let dx = x + lane_x[lane];
-        let dy = y + lane_y[lane];
-        let sample = Sample::new::<FUSED>(&splat, dx, dy, min_n_ray[lane]);
-        let depth = if sample.on_plane {
-            splat.plane_offset / sample.n_ray
+        let sample = Sample::new::<FUSED>(&splat, u[lane], v[lane], min_n_ray[lane]);
+        evaluated.alpha[lane] = sample.alpha;
+        let plane_depth = splat.plane_offset / sample.n_ray;
+        evaluated.depth[lane] = if sample.on_plane {
+            plane_depth
         } else {
             splat.center_depth
         };
-        let before = pixel.transmittance[lane];
-        let takes = (sample.alpha >= alpha_min) & (before >= transmittance_min);
+    }
+    evaluated
+}
+
+/// Blends a splat, entry number `number` from 1, over a group of pixels. Whether one took it.
+#[inline(always)]
+fn blend<const FUSED: bool, const WIDTH: usize, T: Real>(
+    splat: &Splat<T>,
+    sample: &Evaluated<T, WIDTH>,
+    number: u32,
+    pixels: &mut Pixels<T, WIDTH>,
+) -> bool {
+    let (splat, sample) = (*splat, *sample);
+    let alpha_min = T::from_f64(ALPHA_MIN);
+    let alpha_max = T::from_f64(ALPHA_MAX);
+    let transmittance_min = T::from_f64(TRANSMITTANCE_MIN);
+    let mut taken = [false; WIDTH];
+    for lane in 0..WIDTH {
+        let before = pixels.transmittance[lane];
+        let alpha = sample.alpha[lane];
+        let takes = (alpha >= alpha_min) & (before >= transmittance_min);
         let alpha = if takes {
-            sample.alpha.min(alpha_max)
+            alpha.min(alpha_max)
         } else {
             T::ZERO
         };
         let weight = before * alpha;
-        pixel.red[lane] = mul_add::<FUSED, T>(weight, splat.color[0], pixel.red[lane]);
-        pixel.green[lane] = mul_add::<FUSED, T>(weight, splat.color[1], pixel.green[lane]);
-        pixel.blue[lane] = mul_add::<FUSED, T>(weight, splat.color[2], pixel.blue[lane]);
-        pixel.depth[lane] = mul_add::<FUSED, T>(weight, depth, pixel.depth[lane]);
-        pixel.transmittance[lane] = before * (T::ONE - alpha);
-        let used = pixel.entries_used[lane];
-        pixel.entries_used[lane] = if takes { number } else { used };
+        pixels.red[lane] = mul_add::<FUSED, T>(weight, splat.color[0], pixels.red[lane]);
+        pixels.green[lane] = mul_add::<FUSED, T>(weight, splat.color[1], pixels.green[lane]);
+        pixels.blue[lane] = mul_add::<FUSED, T>(weight, splat.color[2], pixels.blue[lane]);
+        let depth = sample.depth[lane];
+        pixels.depth[lane] = mul_add::<FUSED, T>(weight, depth, pixels.depth[lane]);
+        pixels.transmittance[lane] = before * (T::ONE - alpha);
+        let used = pixels.entries_used[lane];
+        pixels.entries_used[lane] = if takes { number } else { used };
         taken[lane] = takes;
     }
     any(taken)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn rows_become_columns() {
+        let mut state = 1_u64;
+        let rows: [u64; 64] = std::array::from_fn(|_| {
+            state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1);
+            state ^ state >> 29
+        });
+        let mut columns = rows;
+        transpose(&mut columns);
+        for (i, row) in rows.iter().enumerate() {
+            for (j, column) in columns.iter().enumerate() {
+                assert_eq!(row >> j & 1, column >> i & 1, "{i} {j}");
+            }
+        }
+    }
 }

@@ -68,23 +68,20 @@ impl<T: Real> TileLists<T> {
     }
 }
 
-/// Entries of a tile that are loaded together before they are worked on.
-pub(super) const BATCH: usize = 32;
-
-/// Asks for the splats of up to `BATCH` entries, which will be loaded next.
+/// Asks for the splats of entries, which will be loaded next.
 #[inline(always)]
 pub(super) fn prefetch_splats<T: Real>(entries: &[Entry], chunks: &[Chunk<T>]) {
-    for entry in entries.iter().take(BATCH) {
+    for entry in entries {
         prefetch(splat(chunks, entry.splat));
     }
 }
 
-/// Copies the splats of up to `BATCH` entries.
+/// Copies the splats of entries.
 #[inline(always)]
 pub(super) fn load_splats<T: Real>(
     entries: &[Entry],
     chunks: &[Chunk<T>],
-    batch: &mut [Splat<T>; BATCH],
+    batch: &mut [Splat<T>],
 ) {
     for (entry, loaded) in entries.iter().zip(batch) {
         *loaded = *splat(chunks, entry.splat);
