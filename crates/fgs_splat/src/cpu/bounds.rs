@@ -85,7 +85,7 @@ pub(crate) const SLACK_PX: f64 = 1e-2;
 const STRIP: i32 = 3;
 
 /// Rows of blocks that are worked on together.
-const BANDS: usize = 16;
+const BANDS: usize = 8;
 
 /// A bit for each column of blocks of a tile.
 const ROW: BlockSet = (1 << TILE_COLUMNS) - 1;
