@@ -74,13 +74,18 @@ impl<T: Real> Kernel for BlendTileVjp<'_, T> {
             transmittance: self.state.transmittance,
             behind: zero,
         };
-        tile.for_each_pixel(self.grid, |place, pixel| {
-            let [red, green, blue] = self.d_color[pixel];
-            pixels.d_red[place] = red;
-            pixels.d_green[place] = green;
-            pixels.d_blue[place] = blue;
-            pixels.d_depth[place] = self.d_depth_m[pixel];
-            pixels.d_alpha[place] = self.d_alpha[pixel];
+        tile.for_each_row(self.grid, |places, row| {
+            let d_color = &self.d_color[row.clone()];
+            let d_depth_m = &self.d_depth_m[row.clone()];
+            let d_alpha = &self.d_alpha[row];
+            for (((d_color, d_depth), d_alpha), place) in
+                d_color.iter().zip(d_depth_m).zip(d_alpha).zip(places)
+            {
+                let place = place % TILE_PIXELS;
+                [pixels.d_red[place], pixels.d_green[place], pixels.d_blue[place]] = *d_color;
+                pixels.d_depth[place] = *d_depth;
+                pixels.d_alpha[place] = *d_alpha;
+            }
         });
         let any_depth = pixels.d_depth.iter().fold(false, |any, d| any | (*d != T::ZERO));
 

@@ -103,7 +103,11 @@ impl<T: Real> Kernel for BlendTile<'_, T> {
             transmittance: [T::ZERO; TILE_PIXELS],
             entries_used: [0; TILE_PIXELS],
         };
-        tile.for_each_pixel(grid, |place, _| pixels.transmittance[place] = T::ONE);
+        tile.for_each_row(grid, |places, row| {
+            for place in &places[..row.len()] {
+                pixels.transmittance[*place] = T::ONE;
+            }
+        });
 
         let blocks_of_group = WIDTH / LANES;
         let groups = BLOCKS / blocks_of_group;
@@ -162,10 +166,16 @@ impl<T: Real> Kernel for BlendTile<'_, T> {
             entry.blocks = 0;
         }
 
-        tile.for_each_pixel(grid, |place, pixel| {
-            self.color[pixel] = [pixels.red[place], pixels.green[place], pixels.blue[place]];
-            self.depth_m[pixel] = pixels.depth[place];
-            self.alpha[pixel] = T::ONE - pixels.transmittance[place];
+        tile.for_each_row(grid, |places, row| {
+            let color = self.color[row.clone()].iter_mut();
+            let depth_m = self.depth_m[row.clone()].iter_mut();
+            let alpha = self.alpha[row].iter_mut();
+            for (((color, depth_m), alpha), place) in color.zip(depth_m).zip(alpha).zip(places) {
+                let place = place % TILE_PIXELS;
+                *color = [pixels.red[place], pixels.green[place], pixels.blue[place]];
+                *depth_m = pixels.depth[place];
+                *alpha = T::ONE - pixels.transmittance[place];
+            }
         });
         self.state.transmittance = pixels.transmittance;
         self.state.entries_used = pixels.entries_used;
@@ -210,7 +220,7 @@ fn swap_quarters<const HALF: usize>(rows: &mut [u64; 64]) {
 /// A splat at a group of pixels.
 #[derive(Clone, Copy)]
 struct Evaluated<T, const WIDTH: usize> {
-    /// Not clamped.
+    /// At most `ALPHA_MAX`; 0 where it is under `ALPHA_MIN`.
     alpha: [T; WIDTH],
     depth: [T; WIDTH],
 }
@@ -223,6 +233,8 @@ fn evaluate<const FUSED: bool, const WIDTH: usize, T: Real>(
 ) -> Evaluated<T, WIDTH> {
     // A copy, so that a lane's choice between two fields is no conditional load.
     let splat = *splat;
+    let alpha_min = T::from_f64(ALPHA_MIN);
+    let alpha_max = T::from_f64(ALPHA_MAX);
     let [u, v, min_n_ray] = tile.group::<WIDTH>(number);
     let mut evaluated = Evaluated {
         alpha: [T::ZERO; WIDTH],
@@ -230,7 +242,9 @@ fn evaluate<const FUSED: bool, const WIDTH: usize, T: Real>(
     };
     for lane in 0..WIDTH {
         let sample = Sample::new::<FUSED>(&splat, u[lane], v[lane], min_n_ray[lane]);
-        evaluated.alpha[lane] = sample.alpha;
+        let alpha = sample.alpha.min(alpha_max);
+        let drawn = sample.alpha >= alpha_min;
+        evaluated.alpha[lane] = if drawn { alpha } else { T::ZERO };
         let plane_depth = splat.plane_offset / sample.n_ray;
         evaluated.depth[lane] = if sample.on_plane {
             plane_depth
@@ -250,26 +264,21 @@ fn blend<const FUSED: bool, const WIDTH: usize, T: Real>(
     pixels: &mut Pixels<T, WIDTH>,
 ) -> bool {
     let (splat, sample) = (*splat, *sample);
-    let alpha_min = T::from_f64(ALPHA_MIN);
-    let alpha_max = T::from_f64(ALPHA_MAX);
     let transmittance_min = T::from_f64(TRANSMITTANCE_MIN);
     let mut taken = [false; WIDTH];
     for lane in 0..WIDTH {
-        let before = pixels.transmittance[lane];
         let alpha = sample.alpha[lane];
-        let takes = (alpha >= alpha_min) & (before >= transmittance_min);
-        let alpha = if takes {
-            alpha.min(alpha_max)
-        } else {
-            T::ZERO
-        };
-        let weight = before * alpha;
+        let before = pixels.transmittance[lane];
+        let (weight, after) = (before * alpha, before * (T::ONE - alpha));
+        let open = before >= transmittance_min;
+        let takes = open & (alpha > T::ZERO);
+        let weight = if open { weight } else { T::ZERO };
         pixels.red[lane] = mul_add::<FUSED, T>(weight, splat.color[0], pixels.red[lane]);
         pixels.green[lane] = mul_add::<FUSED, T>(weight, splat.color[1], pixels.green[lane]);
         pixels.blue[lane] = mul_add::<FUSED, T>(weight, splat.color[2], pixels.blue[lane]);
         let depth = sample.depth[lane];
         pixels.depth[lane] = mul_add::<FUSED, T>(weight, depth, pixels.depth[lane]);
-        pixels.transmittance[lane] = before * (T::ONE - alpha);
+        pixels.transmittance[lane] = if open { after } else { before };
         let used = pixels.entries_used[lane];
         pixels.entries_used[lane] = if takes { number } else { used };
         taken[lane] = takes;

@@ -1,6 +1,8 @@
 //! One gaussian at one pixel: its alpha and its depth. The forward and the backward pass call the
 //! same function, so that both see the same bits. Branch-free: runs over the lanes of a block.
 
+use std::ops::Range;
+
 use super::bounds::{
     BLOCK_HEIGHT, BLOCK_WIDTH, TILE_COLUMNS, TILE_HEIGHT, TILE_PIXELS, TILE_ROWS, TILE_WIDTH,
     TileGrid,
@@ -115,17 +117,24 @@ impl<T: Real> TilePixels<T> {
         ]
     }
 
-    /// Calls `visit(place, pixel)` for each pixel of the tile that lies in the image: its place in
-    /// the tile's order, and its place in the image, row-major from the first row of the tile.
+    /// Calls `visit(places, pixels)` for the part of each of the tile's rows that lies in the
+    /// image: the places of its pixels in the tile's order, and their range in the image, row-major
+    /// from the first row of the tile.
     #[inline(always)]
-    pub fn for_each_pixel(&self, grid: &TileGrid, mut visit: impl FnMut(usize, usize)) {
+    pub fn for_each_row(
+        &self,
+        grid: &TileGrid,
+        mut visit: impl FnMut(&[usize; TILE_WIDTH], Range<usize>),
+    ) {
         let [u0, v0] = self.origin;
+        let width = TILE_WIDTH.min(grid.width - u0);
         for row in 0..TILE_HEIGHT.min(grid.height - v0) {
             let in_row = row / BLOCK_HEIGHT * ROW_PIXELS + row % BLOCK_HEIGHT * BLOCK_WIDTH;
-            for column in 0..TILE_WIDTH.min(grid.width - u0) {
-                let in_block = column / BLOCK_WIDTH * LANES + column % BLOCK_WIDTH;
-                visit(in_row + in_block, row * grid.width + u0 + column);
-            }
+            let places = std::array::from_fn(|column| {
+                in_row + column / BLOCK_WIDTH * LANES + column % BLOCK_WIDTH
+            });
+            let first = row * grid.width + u0;
+            visit(&places, first..first + width);
         }
     }
 }
