@@ -4,10 +4,10 @@
 
 use std::hint::black_box;
 
-use super::bounds::{BlockSet, TILE_PIXELS, TileGrid};
+use super::bounds::{BLOCKS, BlockSet, TILE_PIXELS, TileGrid};
 use super::chunks::Chunk;
 use super::forward::TileState;
-use super::lanes::{LANES, group, group_mut};
+use super::lanes::{LANES, group, group_mut, ones};
 use super::project::{ScreenCamera, Splat};
 use super::project_vjp::{PixelSums, sum};
 use super::real::Real;
@@ -109,6 +109,11 @@ impl<T: Real> BlendTileVjp<'_, T> {
         let used_sums = if DEPTH { sum::OF_PIXELS } else { sum::OF_DEPTH };
         let mut batch = [Splat::default(); BATCH];
         let mut quarters = [[[T::ZERO; 4]; sum::OF_PIXELS]; BATCH];
+        let mut samples = [Evaluated {
+            alpha: [T::ZERO; WIDTH],
+            inverse_rest: [T::ZERO; WIDTH],
+            inverse_n_ray: [T::ZERO; WIDTH],
+        }; BLOCKS];
         for (index, entries) in self.entries.chunks(BATCH).enumerate().rev() {
             let start = index * BATCH;
             load_splats(entries, self.chunks, &mut batch);
@@ -121,17 +126,27 @@ impl<T: Real> BlendTileVjp<'_, T> {
                     continue;
                 }
                 let position = (start + i) as u32;
-                let mut lane_sums = [[T::ZERO; WIDTH]; sum::OF_PIXELS];
-                let mut taken = groups::<WIDTH>(entry.blocks);
-                while taken != 0 {
-                    let number = taken.trailing_zeros() as usize / (WIDTH / LANES);
-                    taken &= taken - 1;
-                    blend_vjp::<FUSED, WIDTH, DEPTH, T>(
+                let first_blocks = first_blocks::<WIDTH>(entry.blocks);
+                let group_numbers = ones(first_blocks).map(|block| block / (WIDTH / LANES));
+                let mut count = 0;
+                for number in group_numbers.clone() {
+                    let entries_used = group(&self.state.entries_used, number);
+                    samples[count % BLOCKS] = evaluate::<FUSED, WIDTH, DEPTH, T>(
                         &batch[i],
                         tile,
                         number,
                         position,
-                        &self.state.entries_used,
+                        entries_used,
+                    );
+                    count += 1;
+                }
+                let mut lane_sums = [[T::ZERO; WIDTH]; sum::OF_PIXELS];
+                for (number, sample) in group_numbers.zip(&samples) {
+                    blend_vjp::<FUSED, WIDTH, DEPTH, T>(
+                        &batch[i],
+                        tile,
+                        number,
+                        sample,
                         pixels,
                         &mut lane_sums,
                     );
@@ -174,9 +189,9 @@ fn add_quarters<T: Real, const WIDTH: usize>(lanes: &[T; WIDTH]) -> [T; 4] {
     })
 }
 
-/// The groups of `WIDTH` pixels that hold these blocks: a bit at the first block of each.
+/// Of each group of `WIDTH` pixels that holds one of these blocks the first block.
 #[inline(always)]
-fn groups<const WIDTH: usize>(blocks: BlockSet) -> BlockSet {
+fn first_blocks<const WIDTH: usize>(blocks: BlockSet) -> BlockSet {
     if WIDTH == LANES {
         blocks
     } else {
@@ -184,46 +199,85 @@ fn groups<const WIDTH: usize>(blocks: BlockSet) -> BlockSet {
     }
 }
 
-/// Walks over a splat, entry number `position` from 0, at a group of pixels.
+/// A splat at a group of pixels.
+#[derive(Clone, Copy)]
+struct Evaluated<T, const WIDTH: usize> {
+    /// Not clamped; 0 where the pixel did not take the splat.
+    alpha: [T; WIDTH],
+    /// 1 / (1 - clamped alpha).
+    inverse_rest: [T; WIDTH],
+    /// 1 / (normal . ray) where the depth is the plane's, else 0.
+    inverse_n_ray: [T; WIDTH],
+}
+
+/// Evaluates a splat, entry number `position` from 0.
+#[inline(always)]
+fn evaluate<const FUSED: bool, const WIDTH: usize, const DEPTH: bool, T: Real>(
+    splat: &Splat<T>,
+    tile: &TilePixels<T>,
+    number: usize,
+    position: u32,
+    entries_used: &[u32; WIDTH],
+) -> Evaluated<T, WIDTH> {
+    let (splat, entries_used) = (*splat, *entries_used);
+    let alpha_min = T::from_f64(ALPHA_MIN);
+    let alpha_max = T::from_f64(ALPHA_MAX);
+    let [u, v, min_n_ray] = tile.group::<WIDTH>(number);
+    let mut evaluated = Evaluated {
+        alpha: [T::ZERO; WIDTH],
+        inverse_rest: [T::ZERO; WIDTH],
+        inverse_n_ray: [T::ZERO; WIDTH],
+    };
+    for lane in 0..WIDTH {
+        let sample = Sample::new::<FUSED>(&splat, u[lane], v[lane], min_n_ray[lane]);
+        let took = (sample.alpha >= alpha_min) & (position < entries_used[lane]);
+        let alpha = if took { sample.alpha } else { T::ZERO };
+        let rest = T::ONE - alpha.min(alpha_max);
+        evaluated.alpha[lane] = alpha;
+        if DEPTH {
+            // Two inverses by one division, the slowest operation here.
+            let inverse = T::ONE / (rest * sample.n_ray);
+            evaluated.inverse_rest[lane] = inverse * sample.n_ray;
+            let inverse_n_ray = inverse * rest;
+            evaluated.inverse_n_ray[lane] = if sample.on_plane {
+                inverse_n_ray
+            } else {
+                T::ZERO
+            };
+        } else {
+            evaluated.inverse_rest[lane] = T::ONE / rest;
+        }
+    }
+    evaluated
+}
+
+/// Walks over a splat at a group of pixels.
 #[inline(always)]
 fn blend_vjp<const FUSED: bool, const WIDTH: usize, const DEPTH: bool, T: Real>(
     splat: &Splat<T>,
     tile: &TilePixels<T>,
     number: usize,
-    position: u32,
-    entries_used: &[u32; TILE_PIXELS],
+    sample: &Evaluated<T, WIDTH>,
     pixels: &mut Pixels<T>,
     sums: &mut LaneSums<T, WIDTH>,
 ) {
-    // A copy, so that a lane's choice between two fields is no conditional load.
-    let splat = *splat;
-    let alpha_min = T::from_f64(ALPHA_MIN);
+    // Copies, so that a lane's choice between two fields is no conditional load.
+    let (splat, sample) = (*splat, *sample);
     let alpha_max = T::from_f64(ALPHA_MAX);
-    let [u, v, min_n_ray] = tile.group::<WIDTH>(number);
+    let [u, v, _] = tile.group::<WIDTH>(number);
     let d_red: [T; WIDTH] = *group(&pixels.d_red, number);
     let d_green: [T; WIDTH] = *group(&pixels.d_green, number);
     let d_blue: [T; WIDTH] = *group(&pixels.d_blue, number);
     let d_depth: [T; WIDTH] = *group(&pixels.d_depth, number);
     let d_alpha: [T; WIDTH] = *group(&pixels.d_alpha, number);
-    let entries_used: [u32; WIDTH] = *group(entries_used, number);
     let mut transmittances: [T; WIDTH] = *group(&pixels.transmittance, number);
     let mut behinds: [T; WIDTH] = *group(&pixels.behind, number);
     for lane in 0..WIDTH {
-        let sample = Sample::new::<FUSED>(&splat, u[lane], v[lane], min_n_ray[lane]);
-        let took = (sample.alpha >= alpha_min) & (position < entries_used[lane]);
-        let alpha = if took {
-            sample.alpha.min(alpha_max)
-        } else {
-            T::ZERO
-        };
-        let rest = T::ONE - alpha;
-        let (inverse_rest, inverse_n_ray) = if DEPTH {
-            // Two inverses by one division, the slowest operation here.
-            let inverse = T::ONE / (rest * sample.n_ray);
-            (inverse * sample.n_ray, inverse * rest)
-        } else {
-            (T::ONE / rest, T::ZERO)
-        };
+        let raw_alpha = sample.alpha[lane];
+        let alpha = raw_alpha.min(alpha_max);
+        let inverse_rest = sample.inverse_rest[lane];
+        let inverse_n_ray = sample.inverse_n_ray[lane];
+        let on_plane = inverse_n_ray > T::ZERO;
         let before = transmittances[lane] * inverse_rest;
         let weight = before * alpha;
         // The loss's derivative by this entry's weight, all else equal.
@@ -232,7 +286,7 @@ fn blend_vjp<const FUSED: bool, const WIDTH: usize, const DEPTH: bool, T: Real>(
         let value = mul_add::<FUSED, T>(d_blue[lane], splat.color[2], value);
         let value = if DEPTH {
             let plane_depth = splat.plane_offset * inverse_n_ray;
-            let depth = if sample.on_plane {
+            let depth = if on_plane {
                 plane_depth
             } else {
                 splat.center_depth
@@ -254,16 +308,15 @@ fn blend_vjp<const FUSED: bool, const WIDTH: usize, const DEPTH: bool, T: Real>(
         add(sum::COLOR + 1, weight, d_green[lane]);
         add(sum::COLOR + 2, weight, d_blue[lane]);
 
-        let free = took & (sample.alpha <= alpha_max);
-        let g = if free {
-            d_sample_alpha * alpha
-        } else {
-            T::ZERO
-        };
-        let (gp, gq) = (g * sample.p, g * sample.q);
-        add(sum::GPP, gp, sample.p);
-        add(sum::GPQ, gp, sample.q);
-        add(sum::GQQ, gq, sample.q);
+        let dx = u[lane] - splat.mean2d[0];
+        let dy = v[lane] - splat.mean2d[1];
+        let [p, q] = splat.whitened::<FUSED>(dx, dy);
+        let g = d_sample_alpha * alpha;
+        let g = if raw_alpha <= alpha_max { g } else { T::ZERO };
+        let (gp, gq) = (g * p, g * q);
+        add(sum::GPP, gp, p);
+        add(sum::GPQ, gp, q);
+        add(sum::GQQ, gq, q);
 
         sums[sum::G][lane] += g;
         sums[sum::GP][lane] += gp;
@@ -271,15 +324,11 @@ fn blend_vjp<const FUSED: bool, const WIDTH: usize, const DEPTH: bool, T: Real>(
 
         if DEPTH {
             let h = weight * d_depth[lane];
-            let (h_plane, h_center) = if sample.on_plane {
-                (h, T::ZERO)
-            } else {
-                (T::ZERO, h)
-            };
-            let ht = h_plane * inverse_n_ray;
+            let h_center = if on_plane { T::ZERO } else { h };
+            let ht = h * inverse_n_ray;
             let htt = ht * inverse_n_ray;
-            sums[sum::HTT_DX][lane] = mul_add::<FUSED, T>(htt, sample.dx, sums[sum::HTT_DX][lane]);
-            sums[sum::HTT_DY][lane] = mul_add::<FUSED, T>(htt, sample.dy, sums[sum::HTT_DY][lane]);
+            sums[sum::HTT_DX][lane] = mul_add::<FUSED, T>(htt, dx, sums[sum::HTT_DX][lane]);
+            sums[sum::HTT_DY][lane] = mul_add::<FUSED, T>(htt, dy, sums[sum::HTT_DY][lane]);
             sums[sum::CENTER][lane] += h_center;
             sums[sum::HT][lane] += ht;
             sums[sum::HTT][lane] += htt;

@@ -6,7 +6,7 @@
 
 use super::bounds::{BLOCKS, TILE_PIXELS, TileGrid};
 use super::chunks::Chunk;
-use super::lanes::{LANES, any, group, group_mut};
+use super::lanes::{LANES, any, group, group_mut, ones};
 use super::project::{ScreenCamera, Splat};
 use super::real::Real;
 use super::sample::{Sample, TilePixels};
@@ -180,16 +180,6 @@ impl<T: Real> Kernel for BlendTile<'_, T> {
         self.state.transmittance = pixels.transmittance;
         self.state.entries_used = pixels.entries_used;
     }
-}
-
-/// The numbers of the bits that are set, ascending.
-#[inline(always)]
-fn ones(mut bits: u64) -> impl Iterator<Item = usize> {
-    std::iter::from_fn(move || {
-        let lowest = (bits != 0).then(|| bits.trailing_zeros() as usize % BATCH);
-        bits &= bits.wrapping_sub(1);
-        lowest
-    })
 }
 
 /// Bit `j` of row `i` becomes bit `i` of row `j`.

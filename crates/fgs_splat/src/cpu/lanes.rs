@@ -29,6 +29,16 @@ pub(super) fn any<const WIDTH: usize>(lanes: [bool; WIDTH]) -> bool {
     lanes.iter().fold(false, |any, lane| any | lane)
 }
 
+/// The numbers of the bits that are set, ascending.
+#[inline(always)]
+pub(super) fn ones(mut bits: u64) -> impl Iterator<Item = usize> + Clone {
+    std::iter::from_fn(move || {
+        let lowest = (bits != 0).then(|| bits.trailing_zeros() as usize % 64);
+        bits &= bits.wrapping_sub(1);
+        lowest
+    })
+}
+
 /// All numbers of one thing.
 #[inline(always)]
 pub(super) fn column<T: Copy, const WIDTH: usize, const N: usize>(

@@ -164,6 +164,13 @@ pub(super) struct Splat<T> {
 }
 
 impl<T: Real> Splat<T> {
+    /// p and q at an offset from the centre, pixels.
+    #[inline(always)]
+    pub fn whitened<const FUSED: bool>(&self, dx: T, dy: T) -> [T; 2] {
+        let p = mul_add::<FUSED, T>(self.whiten_xx, dx, self.whiten_xy * dy);
+        [p, self.whiten_yy * dy]
+    }
+
     #[inline(always)]
     pub fn to_array(self) -> [T; SPLAT] {
         let [u, v] = self.mean2d;

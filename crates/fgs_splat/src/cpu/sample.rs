@@ -15,10 +15,6 @@ use crate::rendering::PLANE_MIN_COS;
 
 /// A splat evaluated at a pixel.
 pub(super) struct Sample<T> {
-    pub dx: T,
-    pub dy: T,
-    pub p: T,
-    pub q: T,
     /// Not clamped.
     pub alpha: T,
     /// normal . ray where `on_plane`, else some positive value.
@@ -33,17 +29,12 @@ impl<T: Real> Sample<T> {
     pub fn new<const FUSED: bool>(splat: &Splat<T>, u: T, v: T, min_n_ray: T) -> Self {
         let dx = u - splat.mean2d[0];
         let dy = v - splat.mean2d[1];
-        let p = mul_add::<FUSED, T>(splat.whiten_xx, dx, splat.whiten_xy * dy);
-        let q = splat.whiten_yy * dy;
+        let [p, q] = splat.whitened::<FUSED>(dx, dy);
         let exponent = mul_add::<FUSED, T>(p, p, q * q);
         let alpha = splat.opacity * exponent.exp2_neg::<FUSED>();
         let n_ray = mul_add::<FUSED, T>(splat.plane[1], dx, splat.plane[0]);
         let n_ray = mul_add::<FUSED, T>(splat.plane[2], dy, n_ray);
         Self {
-            dx,
-            dy,
-            p,
-            q,
             alpha,
             n_ray: n_ray.max(min_n_ray),
             on_plane: n_ray >= min_n_ray,
