@@ -8,6 +8,7 @@ use super::bounds::{BLOCKS, BlockSet, TILE_PIXELS, TileGrid};
 use super::chunks::Chunk;
 use super::forward::TileState;
 use super::lanes::{LANES, group, group_mut, ones};
+use super::prefetch::prefetch;
 use super::project::{ScreenCamera, Splat};
 use super::project_vjp::{PixelSums, sum};
 use super::real::Real;
@@ -17,7 +18,7 @@ use crate::kernel::{Kernel, mul_add};
 use crate::rendering::{ALPHA_MAX, ALPHA_MIN};
 
 /// Entries that are loaded together.
-const BATCH: usize = 32;
+const BATCH: usize = 8;
 
 /// Differentiates one tile. Run it through [`crate::kernel::dispatch`].
 pub(super) struct BlendTileVjp<'a, T: Real> {
@@ -82,12 +83,19 @@ impl<T: Real> Kernel for BlendTileVjp<'_, T> {
                 d_color.iter().zip(d_depth_m).zip(d_alpha).zip(places)
             {
                 let place = place % TILE_PIXELS;
-                [pixels.d_red[place], pixels.d_green[place], pixels.d_blue[place]] = *d_color;
+                [
+                    pixels.d_red[place],
+                    pixels.d_green[place],
+                    pixels.d_blue[place],
+                ] = *d_color;
                 pixels.d_depth[place] = *d_depth;
                 pixels.d_alpha[place] = *d_alpha;
             }
         });
-        let any_depth = pixels.d_depth.iter().fold(false, |any, d| any | (*d != T::ZERO));
+        let any_depth = pixels
+            .d_depth
+            .iter()
+            .fold(false, |any, d| any | (*d != T::ZERO));
 
         if any_depth {
             self.walk::<FUSED, WIDTH, true>(&tile, &mut pixels);
@@ -113,7 +121,7 @@ impl<T: Real> BlendTileVjp<'_, T> {
             alpha: [T::ZERO; WIDTH],
             inverse_rest: [T::ZERO; WIDTH],
             inverse_n_ray: [T::ZERO; WIDTH],
-        }; BLOCKS];
+        }; BATCH * BLOCKS];
         for (index, entries) in self.entries.chunks(BATCH).enumerate().rev() {
             let start = index * BATCH;
             load_splats(entries, self.chunks, &mut batch);
@@ -121,27 +129,32 @@ impl<T: Real> BlendTileVjp<'_, T> {
                 &self.entries[start.saturating_sub(BATCH)..start],
                 self.chunks,
             );
+            let slots = self.order[start..]
+                .iter()
+                .map(|key| T::sorted_index(*key) as usize - self.first_slot);
+            for (slot, _) in slots.clone().zip(entries) {
+                prefetch(&self.sums[slot]);
+            }
+            let mut count = 0;
+            for (i, entry) in entries.iter().enumerate().rev() {
+                for number in groups::<WIDTH>(entry.blocks) {
+                    samples[count % (BATCH * BLOCKS)] = evaluate::<FUSED, WIDTH, DEPTH, T>(
+                        &batch[i],
+                        tile,
+                        number,
+                        (start + i) as u32,
+                        group(&self.state.entries_used, number),
+                    );
+                    count += 1;
+                }
+            }
+            let mut evaluated = samples.iter();
             for (i, entry) in entries.iter().enumerate().rev() {
                 if entry.blocks == 0 {
                     continue;
                 }
-                let position = (start + i) as u32;
-                let first_blocks = first_blocks::<WIDTH>(entry.blocks);
-                let group_numbers = ones(first_blocks).map(|block| block / (WIDTH / LANES));
-                let mut count = 0;
-                for number in group_numbers.clone() {
-                    let entries_used = group(&self.state.entries_used, number);
-                    samples[count % BLOCKS] = evaluate::<FUSED, WIDTH, DEPTH, T>(
-                        &batch[i],
-                        tile,
-                        number,
-                        position,
-                        entries_used,
-                    );
-                    count += 1;
-                }
                 let mut lane_sums = [[T::ZERO; WIDTH]; sum::OF_PIXELS];
-                for (number, sample) in group_numbers.zip(&samples) {
+                for (number, sample) in groups::<WIDTH>(entry.blocks).zip(evaluated.by_ref()) {
                     blend_vjp::<FUSED, WIDTH, DEPTH, T>(
                         &batch[i],
                         tile,
@@ -158,11 +171,8 @@ impl<T: Real> BlendTileVjp<'_, T> {
                     black_box(quarters);
                 }
             }
-            let slots = self.order[start..]
-                .iter()
-                .map(|key| T::sorted_index(*key) as usize);
             for ((slot, entry), quarters) in slots.zip(entries).zip(&quarters) {
-                let sums = &mut self.sums[slot - self.first_slot];
+                let sums = &mut self.sums[slot];
                 *sums = PixelSums::default();
                 if entry.blocks != 0 {
                     sums.0[sum::TILES] = T::ONE;
@@ -189,14 +199,15 @@ fn add_quarters<T: Real, const WIDTH: usize>(lanes: &[T; WIDTH]) -> [T; 4] {
     })
 }
 
-/// Of each group of `WIDTH` pixels that holds one of these blocks the first block.
+/// The groups of `WIDTH` pixels that hold one of these blocks.
 #[inline(always)]
-fn first_blocks<const WIDTH: usize>(blocks: BlockSet) -> BlockSet {
-    if WIDTH == LANES {
+fn groups<const WIDTH: usize>(blocks: BlockSet) -> impl Iterator<Item = usize> {
+    let first_blocks = if WIDTH == LANES {
         blocks
     } else {
         (blocks | blocks >> 1) & (BlockSet::MAX / 3)
-    }
+    };
+    ones(first_blocks).map(|block| block / (WIDTH / LANES))
 }
 
 /// A splat at a group of pixels.

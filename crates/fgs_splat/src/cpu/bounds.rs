@@ -185,7 +185,11 @@ impl<T: Real> Support<T> {
             let left = edge((-self.rightmost_dy).max(dy_top).min(dy_bottom), -T::ONE) - slack;
             let (first, last) = pixels(mean_x + left, mean_x + right, grid.width);
             let touched = (top <= bottom) & (first <= last);
-            firsts[lane] = if touched { first / block_width } else { i32::MAX / 2 };
+            firsts[lane] = if touched {
+                first / block_width
+            } else {
+                i32::MAX / 2
+            };
             ends[lane] = if touched { last / block_width + 1 } else { 0 };
         }
         (firsts, ends)

@@ -133,14 +133,14 @@ impl<T: Real> Kernel for BlendTile<'_, T> {
             let mut hits = [0; BLOCKS];
             for number in 0..groups {
                 let blocks = number * blocks_of_group..(number + 1) * blocks_of_group;
-                let touching = touching[blocks.clone()].iter().fold(0, |any, row| any | row);
+                let touching = touching[blocks.clone()]
+                    .iter()
+                    .fold(0, |any, row| any | row);
                 if touching == 0 || open_groups >> number & 1 == 0 {
                     continue;
                 }
-                let mut count = 0;
-                for i in ones(touching) {
-                    samples[count % BATCH] = evaluate::<FUSED, WIDTH, T>(&batch[i], &tile, number);
-                    count += 1;
+                for (i, sample) in ones(touching).zip(&mut samples) {
+                    *sample = evaluate::<FUSED, WIDTH, T>(&batch[i], &tile, number);
                 }
                 let mut group = pixels.group::<WIDTH>(number);
                 let mut taken = 0;
@@ -256,7 +256,7 @@ fn blend<const FUSED: bool, const WIDTH: usize, T: Real>(
     let (splat, sample) = (*splat, *sample);
     let transmittance_min = T::from_f64(TRANSMITTANCE_MIN);
     let mut taken = [false; WIDTH];
-    for lane in 0..WIDTH {
+    for (lane, taken) in taken.iter_mut().enumerate() {
         let alpha = sample.alpha[lane];
         let before = pixels.transmittance[lane];
         let (weight, after) = (before * alpha, before * (T::ONE - alpha));
@@ -271,7 +271,7 @@ fn blend<const FUSED: bool, const WIDTH: usize, T: Real>(
         pixels.transmittance[lane] = if open { after } else { before };
         let used = pixels.entries_used[lane];
         pixels.entries_used[lane] = if takes { number } else { used };
-        taken[lane] = takes;
+        *taken = takes;
     }
     any(taken)
 }
@@ -284,7 +284,9 @@ mod tests {
     fn rows_become_columns() {
         let mut state = 1_u64;
         let rows: [u64; 64] = std::array::from_fn(|_| {
-            state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1);
+            state = state
+                .wrapping_mul(6_364_136_223_846_793_005)
+                .wrapping_add(1);
             state ^ state >> 29
         });
         let mut columns = rows;

@@ -78,11 +78,7 @@ pub(super) fn prefetch_splats<T: Real>(entries: &[Entry], chunks: &[Chunk<T>]) {
 
 /// Copies the splats of entries.
 #[inline(always)]
-pub(super) fn load_splats<T: Real>(
-    entries: &[Entry],
-    chunks: &[Chunk<T>],
-    batch: &mut [Splat<T>],
-) {
+pub(super) fn load_splats<T: Real>(entries: &[Entry], chunks: &[Chunk<T>], batch: &mut [Splat<T>]) {
     for (entry, loaded) in entries.iter().zip(batch) {
         *loaded = *splat(chunks, entry.splat);
     }

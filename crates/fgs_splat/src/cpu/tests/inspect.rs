@@ -6,7 +6,9 @@ use fgs_geom::View;
 
 use crate::Gaussians;
 use crate::cpu::Rasterizer;
-use crate::cpu::bounds::{BLOCK_HEIGHT, BLOCK_WIDTH, BLOCKS, TILE_COLUMNS, TILE_HEIGHT, TILE_WIDTH};
+use crate::cpu::bounds::{
+    BLOCK_HEIGHT, BLOCK_WIDTH, BLOCKS, TILE_COLUMNS, TILE_HEIGHT, TILE_WIDTH,
+};
 use crate::cpu::chunks::CHUNK;
 use crate::cpu::project::SPLAT;
 
