@@ -142,7 +142,7 @@ impl<T: Real> BlendTileVjp<'_, T> {
                         &batch[i],
                         tile,
                         number,
-                        (start + i) as u32,
+                        (start + i) as i32,
                         group(&self.state.entries_used, number),
                     );
                     count += 1;
@@ -227,7 +227,7 @@ fn evaluate<const FUSED: bool, const WIDTH: usize, const DEPTH: bool, T: Real>(
     splat: &Splat<T>,
     tile: &TilePixels<T>,
     number: usize,
-    position: u32,
+    position: i32,
     entries_used: &[u32; WIDTH],
 ) -> Evaluated<T, WIDTH> {
     let (splat, entries_used) = (*splat, *entries_used);
@@ -241,7 +241,7 @@ fn evaluate<const FUSED: bool, const WIDTH: usize, const DEPTH: bool, T: Real>(
     };
     for lane in 0..WIDTH {
         let sample = Sample::new::<FUSED>(&splat, u[lane], v[lane], min_n_ray[lane]);
-        let took = (sample.alpha >= alpha_min) & (position < entries_used[lane]);
+        let took = (sample.alpha >= alpha_min) & (position < entries_used[lane] as i32);
         let alpha = if took { sample.alpha } else { T::ZERO };
         let rest = T::ONE - alpha.min(alpha_max);
         evaluated.alpha[lane] = alpha;
