@@ -12,7 +12,8 @@
 //! the image: zero.
 
 use super::blur::{CHANNELS, RADIUS, TAPS};
-use super::{LossSettings, Target, l1, ssim::Ssim};
+use super::l1::{l1, sum_lanes};
+use super::{LossSettings, Target, ssim::Ssim};
 use crate::kernel::{Kernel, dispatch};
 use fgs_geom::{Image, has_depth};
 use rayon::prelude::*;
@@ -20,8 +21,6 @@ use rayon::prelude::*;
 /// Rows of a strip: the 20 rows of overlap cost about a fifth of the time, and an image of 480 rows
 /// still occupies 8 threads.
 const STRIP_ROWS: usize = 60;
-/// Sums are kept in this many lanes, so that they vectorise and yet have a fixed order.
-const LANES: usize = 16;
 
 /// Means over valid pixels and channels, zero if there is none.
 #[derive(Default)]
@@ -238,7 +237,7 @@ impl Strip {
         for d in d_color.iter_mut() {
             *d *= weights.ssim;
         }
-        l1::l1(difference, valid, weights.l1, &mut self.error, d_color);
+        l1(difference, valid, weights.l1, &mut self.error, d_color);
         sum_lanes(&self.error)
     }
 }
@@ -257,16 +256,4 @@ fn row_mut(ring: &mut [f32], n: usize, row: usize) -> &mut [f32] {
 #[inline(always)]
 fn window(ring: &[f32], n: usize, first: usize) -> [&[f32]; TAPS] {
     std::array::from_fn(|tap| row(ring, n, first + tap))
-}
-
-#[inline(always)]
-fn sum_lanes(values: &[f32]) -> f64 {
-    let (blocks, rest) = values.as_chunks::<LANES>();
-    let mut lanes = [0.0f32; LANES];
-    for block in blocks {
-        for (lane, value) in lanes.iter_mut().zip(block) {
-            *lane += value;
-        }
-    }
-    lanes.iter().chain(rest).map(|x| f64::from(*x)).sum()
 }
