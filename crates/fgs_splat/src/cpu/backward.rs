@@ -1,6 +1,7 @@
-//! The derivative of `forward.rs`: walks one tile's list back to front and sums, for each entry,
-//! what its pixels contribute to the gaussian's gradient. The transmittance in front of an entry
-//! is recovered by dividing; the blend behind it is accumulated on the way.
+//! The derivative of `forward.rs`: walks a tile's list back to front and sums each entry's
+//! contributions to its gaussian's gradient over the pixels. The transmittance in front of an entry
+//! is recovered by division; the blend behind it is accumulated along the way. As in the forward
+//! pass, all alphas of a batch are computed before the walk over it.
 
 use std::hint::black_box;
 
@@ -17,7 +18,7 @@ use super::tiles::{Entry, load_splats, prefetch_splats};
 use crate::kernel::{Kernel, mul_add};
 use crate::rendering::{ALPHA_MAX, ALPHA_MIN};
 
-/// Entries that are loaded together.
+/// Entries per batch.
 const BATCH: usize = 8;
 
 /// Differentiates one tile. Run it through [`crate::kernel::dispatch`].
@@ -28,33 +29,33 @@ pub(super) struct BlendTileVjp<'a, T: Real> {
     /// The tile's list.
     pub entries: &'a [Entry],
     pub order: &'a [T::SortKey],
-    /// The slot of the first of `sums`.
+    /// Slot of `sums[0]`.
     pub first_slot: usize,
-    /// They hold the splats.
+    /// Hold the splats.
     pub chunks: &'a [Chunk<T>],
     pub state: &'a TileState<T>,
-    /// The rows of the images in which the tile lies.
+    /// The image rows of the tile.
     pub d_color: &'a [[T; 3]],
     pub d_depth_m: &'a [T],
     pub d_alpha: &'a [T],
-    /// Written for each entry in its slot.
+    /// Output, by slot.
     pub sums: &'a mut [PixelSums<T>],
 }
 
-/// What the walk over the list knows of a tile's pixels.
+/// Derivatives by a tile's pixels, and the state of the walk.
 struct Pixels<T> {
     d_red: [T; TILE_PIXELS],
     d_green: [T; TILE_PIXELS],
     d_blue: [T; TILE_PIXELS],
     d_depth: [T; TILE_PIXELS],
     d_alpha: [T; TILE_PIXELS],
-    /// In front of what has been walked over.
+    /// In front of the entries visited so far.
     transmittance: [T; TILE_PIXELS],
-    /// The loss's derivative along all that has been walked over, as one colour.
+    /// Sum over the entries visited so far of weight times the loss's derivative by the weight.
     behind: [T; TILE_PIXELS],
 }
 
-/// Lane sums of one entry.
+/// Sums of one entry per lane.
 type LaneSums<T, const WIDTH: usize> = [[T; WIDTH]; sum::OF_PIXELS];
 
 impl<T: Real> Kernel for BlendTileVjp<'_, T> {
@@ -106,8 +107,8 @@ impl<T: Real> Kernel for BlendTileVjp<'_, T> {
 }
 
 impl<T: Real> BlendTileVjp<'_, T> {
-    /// Walks over the list and writes its sums. Without `DEPTH` nothing depends on the depth: its
-    /// sums stay 0.
+    /// Walks the list and writes its sums. Without `DEPTH` all derivatives by depth are 0, and so
+    /// are their sums.
     #[inline(always)]
     fn walk<const FUSED: bool, const WIDTH: usize, const DEPTH: bool>(
         self,
@@ -166,8 +167,8 @@ impl<T: Real> BlendTileVjp<'_, T> {
                 }
                 for (quarters, lanes) in quarters[i].iter_mut().zip(&lane_sums).take(used_sums) {
                     *quarters = add_quarters(lanes);
-                    // Keeps the sums apart: worked on together they become gathers of single
-                    // lanes, which are several times slower.
+                    // Stops the compiler from vectorising across the sums: that gathers single
+                    // lanes and is several times slower.
                     black_box(quarters);
                 }
             }
@@ -185,8 +186,8 @@ impl<T: Real> BlendTileVjp<'_, T> {
     }
 }
 
-/// Sums of every fourth lane. The last step to a single sum is left for later, when these are no
-/// longer on their way to memory: reading them back at once would wait for that.
+/// Sums of every fourth lane. They are added up only at the end of the batch: reading them back at
+/// once would stall on store forwarding.
 #[inline(always)]
 fn add_quarters<T: Real, const WIDTH: usize>(lanes: &[T; WIDTH]) -> [T; 4] {
     std::array::from_fn(|i| {
@@ -199,7 +200,7 @@ fn add_quarters<T: Real, const WIDTH: usize>(lanes: &[T; WIDTH]) -> [T; 4] {
     })
 }
 
-/// The groups of `WIDTH` pixels that hold one of these blocks.
+/// The groups of `WIDTH` pixels that contain any of the blocks.
 #[inline(always)]
 fn groups<const WIDTH: usize>(blocks: BlockSet) -> impl Iterator<Item = usize> {
     let first_blocks = if WIDTH == LANES {
@@ -210,7 +211,7 @@ fn groups<const WIDTH: usize>(blocks: BlockSet) -> impl Iterator<Item = usize> {
     ones(first_blocks).map(|block| block / (WIDTH / LANES))
 }
 
-/// A splat at a group of pixels.
+/// A splat evaluated at a group of pixels.
 #[derive(Clone, Copy)]
 struct Evaluated<T, const WIDTH: usize> {
     /// Not clamped; 0 where the pixel did not take the splat.
@@ -221,7 +222,7 @@ struct Evaluated<T, const WIDTH: usize> {
     inverse_n_ray: [T; WIDTH],
 }
 
-/// Evaluates a splat, entry number `position` from 0.
+/// Evaluates the splat of entry `position`.
 #[inline(always)]
 fn evaluate<const FUSED: bool, const WIDTH: usize, const DEPTH: bool, T: Real>(
     splat: &Splat<T>,
@@ -246,7 +247,7 @@ fn evaluate<const FUSED: bool, const WIDTH: usize, const DEPTH: bool, T: Real>(
         let rest = T::ONE - alpha.min(alpha_max);
         evaluated.alpha[lane] = alpha;
         if DEPTH {
-            // Two inverses by one division, the slowest operation here.
+            // Two inverses from one division, the slowest operation here.
             let inverse = T::ONE / (rest * sample.n_ray);
             evaluated.inverse_rest[lane] = inverse * sample.n_ray;
             let inverse_n_ray = inverse * rest;
@@ -262,7 +263,7 @@ fn evaluate<const FUSED: bool, const WIDTH: usize, const DEPTH: bool, T: Real>(
     evaluated
 }
 
-/// Walks over a splat at a group of pixels.
+/// Visits a splat at a group of pixels: updates their state and adds to the splat's sums.
 #[inline(always)]
 fn blend_vjp<const FUSED: bool, const WIDTH: usize, const DEPTH: bool, T: Real>(
     splat: &Splat<T>,
@@ -272,7 +273,7 @@ fn blend_vjp<const FUSED: bool, const WIDTH: usize, const DEPTH: bool, T: Real>(
     pixels: &mut Pixels<T>,
     sums: &mut LaneSums<T, WIDTH>,
 ) {
-    // Copies, so that a lane's choice between two fields is no conditional load.
+    // Copies: choosing between two fields of a reference would become a conditional load.
     let (splat, sample) = (*splat, *sample);
     let alpha_max = T::from_f64(ALPHA_MAX);
     let [u, v, _] = tile.group::<WIDTH>(number);
@@ -291,7 +292,7 @@ fn blend_vjp<const FUSED: bool, const WIDTH: usize, const DEPTH: bool, T: Real>(
         let on_plane = inverse_n_ray > T::ZERO;
         let before = transmittances[lane] * inverse_rest;
         let weight = before * alpha;
-        // The loss's derivative by this entry's weight, all else equal.
+        // The loss's derivative by this entry's weight.
         let value = mul_add::<FUSED, T>(d_red[lane], splat.color[0], d_alpha[lane]);
         let value = mul_add::<FUSED, T>(d_green[lane], splat.color[1], value);
         let value = mul_add::<FUSED, T>(d_blue[lane], splat.color[2], value);

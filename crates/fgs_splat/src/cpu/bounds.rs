@@ -1,8 +1,8 @@
 //! Which pixel blocks a gaussian's support touches.
 //!
-//! An image is cut into tiles of 32x16 pixels and each tile into 16x4 blocks of 2x4 pixels, which
-//! are 8 lanes of the blending; where it has 16 lanes it takes two neighbouring blocks, 4x4 pixels.
-//! Bounds come from the ellipse itself and are never too small: blending decides each pixel anyway.
+//! The image is divided into tiles of 32x16 pixels, and each tile into 16x4 blocks of 2x4 pixels. A
+//! block fills 8 SIMD lanes; kernels with 16 lanes process two neighbouring blocks, 4x4 pixels.
+//! Bounds are computed from the ellipse and are conservative: blending tests each pixel anyway.
 
 use super::lanes::LANES;
 use super::project::Splat;
@@ -14,8 +14,8 @@ pub(super) const BLOCK_WIDTH: usize = 2;
 /// Pixels from top to bottom of a block.
 pub(super) const BLOCK_HEIGHT: usize = 4;
 const _: () = assert!(BLOCK_WIDTH * BLOCK_HEIGHT == LANES);
-/// Blocks from left to right of a tile. Tiles are as large as the nearest cache holds the state of
-/// their pixels, since a gaussian costs something in every tile that it touches.
+/// Blocks from left to right of a tile. Each tile a gaussian touches adds overhead, so tiles are as
+/// large as the L1 cache allows for the state of their pixels.
 pub(super) const TILE_COLUMNS: usize = 16;
 /// Blocks from top to bottom of a tile.
 pub(super) const TILE_ROWS: usize = 4;
@@ -36,9 +36,9 @@ const _: () = assert!(BLOCKS == BlockSet::BITS as usize);
 pub(super) struct Touch {
     /// Row-major number of the tile.
     pub tile: u32,
-    /// Position of the gaussian's splat among its chunk's.
+    /// Index of the gaussian's splat in its chunk.
     pub splat: u16,
-    /// Those that may be touched.
+    /// Blocks that the gaussian may touch.
     pub blocks: BlockSet,
 }
 
@@ -66,25 +66,25 @@ impl TileGrid {
     }
 }
 
-/// The ellipse that a splat's alpha reaches, and the rows of pixels that it may touch.
+/// The ellipse inside which a splat's alpha reaches `ALPHA_MIN`, and the pixel rows it may touch.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Support<T> {
     /// Squared radius in whitened coordinates.
     radius2: T,
-    /// The rightmost point has this dy, the leftmost its negative.
+    /// dy of the rightmost point; the leftmost has its negative.
     rightmost_dy: T,
     first_row: i32,
     last_row: i32,
 }
 
-/// Pixels that the ellipse is larger than it should be, for what rounding does.
+/// Margin for rounding, pixels.
 pub(crate) const SLACK_PX: f64 = 1e-2;
 
-/// Tiles of a row that are worked on together: a bit for each of their columns of blocks, one
-/// after the last included, fits into 64.
+/// Tiles of a row that are processed together: the block columns of so many tiles, and one more
+/// bit, fit into 64 bits.
 const STRIP: i32 = 3;
 
-/// Rows of blocks that are worked on together.
+/// Rows of blocks that are processed together.
 const BANDS: usize = 8;
 
 /// A bit for each column of blocks of a tile.
@@ -94,8 +94,7 @@ impl<T: Real> Support<T> {
     /// Branch-free: runs over lanes of gaussians.
     #[inline(always)]
     pub fn new(splat: &Splat<T>, grid: &TileGrid) -> Self {
-        // Where alpha reaches `ALPHA_MIN`. Rounding may put a pixel's exponent a little off: the
-        // support grows by more than that.
+        // Where alpha reaches `ALPHA_MIN`, plus more than the rounding error of a pixel's exponent.
         let exact = (splat.opacity * T::from_f64(1.0 / ALPHA_MIN)).log2_at_least();
         let radius2 = (exact * T::from_f64(1.001) + T::from_f64(1e-3)).max(T::ZERO);
         let radius = radius2.sqrt();
@@ -111,7 +110,8 @@ impl<T: Real> Support<T> {
         }
     }
 
-    /// Appends every tile that is touched, row by row. `number` is the splat's among its chunk's.
+    /// Appends a touch for every tile touched, row by row. `number` is the splat's index in its
+    /// chunk.
     #[inline(always)]
     pub fn push_touches(
         &self,
@@ -132,7 +132,7 @@ impl<T: Real> Support<T> {
             for strip in (first_tile..end_tile).step_by(STRIP as usize) {
                 let origin = strip * tile_blocks;
                 let width = STRIP * tile_blocks;
-                // Bands one block high, which make whole rows of tiles.
+                // The blocks touched in each row of blocks.
                 let mut bands: [BlockSet; BANDS] = [0; BANDS];
                 for lane in 0..BANDS {
                     let from = (first[lane] - origin).max(0).min(width);
@@ -160,9 +160,8 @@ impl<T: Real> Support<T> {
         }
     }
 
-    /// First and after the last column of blocks that is touched in each of 16 bands, of which the
-    /// first begins with that row of pixels. The first is `i32::MAX` / 2 and the last 0 where there
-    /// is none.
+    /// The half-open range of block columns touched in each of `BANDS` rows of blocks, the first of
+    /// which starts at pixel row `row`. An empty range is `i32::MAX / 2..0`.
     #[inline(always)]
     fn columns(&self, splat: &Splat<T>, grid: &TileGrid, row: i32) -> ([i32; BANDS], [i32; BANDS]) {
         let slack = T::from_f64(SLACK_PX);
@@ -196,8 +195,7 @@ impl<T: Real> Support<T> {
     }
 }
 
-/// First and last integer in `[low, high]` and in `[0, size)`; the first is greater than the last
-/// where there is none.
+/// First and last integer within both `[low, high]` and `[0, size)`; first > last if there is none.
 #[inline(always)]
 fn pixels<T: Real>(low: T, high: T, size: usize) -> (i32, i32) {
     let end = T::from_i32(size as i32);

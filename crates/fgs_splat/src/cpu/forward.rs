@@ -1,8 +1,9 @@
-//! Blends one tile's list front to back into colour, depth and transmittance, group by group of
-//! pixels. A group whose pixels are all saturated takes no further gaussian, and a tile of such
-//! groups ends its list. Some dozen entries are blended into one group, then into the next, so that
-//! its state stays in registers meanwhile; all are evaluated before the first is blended, because
-//! blending is a chain in which each waits for the one before.
+//! Blends a tile's list front to back into colour, depth and transmittance, 64 entries at a time.
+//!
+//! Within a batch the pixels are processed group by group, so that a group's state stays in
+//! registers. Its alphas are all computed before any is blended: they do not depend on each other,
+//! while each blend depends on the one before. A group whose pixels are all saturated is skipped,
+//! and a tile ends when all its groups are.
 
 use super::bounds::{BLOCKS, TILE_PIXELS, TileGrid};
 use super::chunks::Chunk;
@@ -14,16 +15,16 @@ use super::tiles::{Entry, load_splats, prefetch_splats, take_front};
 use crate::kernel::{Kernel, mul_add};
 use crate::rendering::{ALPHA_MAX, ALPHA_MIN, TRANSMITTANCE_MIN};
 
-/// Entries that are loaded together: a bit for each.
+/// Entries per batch: one bit of a `u64` each.
 const BATCH: usize = u64::BITS as usize;
 
-/// What the backward pass needs to know of a tile's pixels.
+/// What the backward pass needs of a tile's pixels.
 #[derive(Clone, Debug)]
 #[repr(align(64))]
 pub(super) struct TileState<T> {
     /// After the last gaussian; 0 outside the image.
     pub transmittance: [T; TILE_PIXELS],
-    /// How many entries of the tile's list precede or are the last that contributed.
+    /// Length of the list up to the last entry that contributed.
     pub entries_used: [u32; TILE_PIXELS],
 }
 
@@ -41,18 +42,18 @@ pub(super) struct BlendTile<'a, T: Real> {
     pub tile: usize,
     pub grid: &'a TileGrid,
     pub camera: &'a ScreenCamera<T>,
-    /// The tile's list; afterwards of each entry only the blocks where a pixel took it.
+    /// The tile's list. Blending leaves each entry only the blocks where a pixel took it.
     pub entries: &'a mut [Entry],
-    /// They hold the splats.
+    /// Hold the splats.
     pub chunks: &'a [Chunk<T>],
     pub state: &'a mut TileState<T>,
-    /// The rows of the images in which the tile lies.
+    /// The image rows of the tile.
     pub color: &'a mut [[T; 3]],
     pub depth_m: &'a mut [T],
     pub alpha: &'a mut [T],
 }
 
-/// The state of a tile's pixels, or of a group of them.
+/// Blending state of a tile's pixels, or of a group of them.
 #[derive(Clone, Copy)]
 struct Pixels<T, const N: usize = TILE_PIXELS> {
     red: [T; N],
@@ -124,7 +125,7 @@ impl<T: Real> Kernel for BlendTile<'_, T> {
             let entries = take_front(&mut rest, len);
             load_splats(entries, self.chunks, &mut batch);
             prefetch_splats(&rest[..BATCH.min(rest.len())], self.chunks);
-            // A row for each block with a bit for each entry.
+            // Transposed: for each block the set of entries that touch it.
             let mut touching = [0; BLOCKS];
             for (blocks, entry) in touching.iter_mut().zip(entries.iter()) {
                 *blocks = entry.blocks;
@@ -193,7 +194,7 @@ fn transpose(rows: &mut [u64; 64]) {
     swap_quarters::<1>(rows);
 }
 
-/// Of each square of `2 HALF` bits swaps the upper right and the lower left quarter.
+/// Swaps the off-diagonal quarters of each square of `2 HALF` bits.
 #[inline(always)]
 fn swap_quarters<const HALF: usize>(rows: &mut [u64; 64]) {
     let left = u64::MAX / ((1 << HALF) + 1);
@@ -207,7 +208,7 @@ fn swap_quarters<const HALF: usize>(rows: &mut [u64; 64]) {
     }
 }
 
-/// A splat at a group of pixels.
+/// A splat evaluated at a group of pixels.
 #[derive(Clone, Copy)]
 struct Evaluated<T, const WIDTH: usize> {
     /// At most `ALPHA_MAX`; 0 where it is under `ALPHA_MIN`.
@@ -221,7 +222,7 @@ fn evaluate<const FUSED: bool, const WIDTH: usize, T: Real>(
     tile: &TilePixels<T>,
     number: usize,
 ) -> Evaluated<T, WIDTH> {
-    // A copy, so that a lane's choice between two fields is no conditional load.
+    // A copy: choosing between two fields of a reference would become a conditional load.
     let splat = *splat;
     let alpha_min = T::from_f64(ALPHA_MIN);
     let alpha_max = T::from_f64(ALPHA_MAX);
@@ -245,7 +246,8 @@ fn evaluate<const FUSED: bool, const WIDTH: usize, T: Real>(
     evaluated
 }
 
-/// Blends a splat, entry number `number` from 1, over a group of pixels. Whether one took it.
+/// Blends a splat over a group of pixels. `number` counts the list's entries from 1. Returns
+/// whether any pixel took it.
 #[inline(always)]
 fn blend<const FUSED: bool, const WIDTH: usize, T: Real>(
     splat: &Splat<T>,

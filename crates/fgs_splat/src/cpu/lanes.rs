@@ -1,11 +1,10 @@
-//! Things side by side, as wide registers hold them: a loop over lanes that neither branches nor
-//! calls is compiled to work on all of them at once. A kernel's `WIDTH` tells how many things that
-//! should be: it takes the pixels of one block or of two neighbours at once.
+//! SIMD lanes as plain arrays: a loop over lanes without branches or calls is vectorised by the
+//! compiler. A kernel's `WIDTH` is its number of lanes: the pixels of one block or of two.
 
 /// Pixels of a block.
 pub(super) const LANES: usize = 8;
 
-/// Group number `group` of `WIDTH` values.
+/// The `group`-th group of `WIDTH` values.
 #[inline(always)]
 pub(super) fn group<T, const WIDTH: usize, const N: usize>(
     values: &[T; N],
@@ -14,7 +13,7 @@ pub(super) fn group<T, const WIDTH: usize, const N: usize>(
     &values.as_chunks::<WIDTH>().0[group % (N / WIDTH)]
 }
 
-/// As [`group`], to be written.
+/// As [`group`], mutable.
 #[inline(always)]
 pub(super) fn group_mut<T, const WIDTH: usize, const N: usize>(
     values: &mut [T; N],
@@ -23,13 +22,13 @@ pub(super) fn group_mut<T, const WIDTH: usize, const N: usize>(
     &mut values.as_chunks_mut::<WIDTH>().0[group % (N / WIDTH)]
 }
 
-/// Whether one is true.
+/// Whether any lane is true.
 #[inline(always)]
 pub(super) fn any<const WIDTH: usize>(lanes: [bool; WIDTH]) -> bool {
     lanes.iter().fold(false, |any, lane| any | lane)
 }
 
-/// The numbers of the bits that are set, ascending.
+/// Positions of the set bits, ascending.
 #[inline(always)]
 pub(super) fn ones(mut bits: u64) -> impl Iterator<Item = usize> + Clone {
     std::iter::from_fn(move || {
@@ -39,7 +38,7 @@ pub(super) fn ones(mut bits: u64) -> impl Iterator<Item = usize> + Clone {
     })
 }
 
-/// All numbers of one thing.
+/// All values of one lane.
 #[inline(always)]
 pub(super) fn column<T: Copy, const WIDTH: usize, const N: usize>(
     lanes: &[[T; WIDTH]; N],
@@ -48,7 +47,7 @@ pub(super) fn column<T: Copy, const WIDTH: usize, const N: usize>(
     std::array::from_fn(|i| lanes[i][lane])
 }
 
-/// Puts all numbers of one thing in their places.
+/// Sets all values of one lane.
 #[inline(always)]
 pub(super) fn set_column<T: Copy, const WIDTH: usize, const N: usize>(
     lanes: &mut [[T; WIDTH]; N],

@@ -1,5 +1,5 @@
-//! One gaussian at one pixel: its alpha and its depth. The forward and the backward pass call the
-//! same function, so that both see the same bits. Branch-free: runs over the lanes of a block.
+//! A gaussian's alpha and depth at a pixel. Forward and backward pass call the same function, so
+//! that they agree to the bit. Branch-free: runs over lanes of pixels.
 
 use std::ops::Range;
 
@@ -17,7 +17,7 @@ use crate::rendering::PLANE_MIN_COS;
 pub(super) struct Sample<T> {
     /// Not clamped.
     pub alpha: T,
-    /// normal . ray where `on_plane`, else some positive value.
+    /// normal . ray where `on_plane`, elsewhere some positive value.
     pub n_ray: T,
     /// Whether the depth is the plane's, `plane_offset / n_ray`, not the centre's.
     pub on_plane: bool,
@@ -45,13 +45,13 @@ impl<T: Real> Sample<T> {
 /// Pixels of a row of blocks.
 const ROW_PIXELS: usize = LANES * TILE_COLUMNS;
 
-/// The pixels of one tile, block after block, row-major within a block.
+/// The pixels of a tile, block by block, row-major within a block.
 pub(super) struct TilePixels<T> {
     /// Column and row of the tile's first pixel.
     origin: [usize; 2],
     /// u of the pixels of a row of blocks.
     u: [T; ROW_PIXELS],
-    /// v of the pixels of each row's first two blocks.
+    /// v of the pixels of the first two blocks of each row of blocks.
     v: [T; 2 * LANES * TILE_ROWS],
     /// `PLANE_MIN_COS` times the length of each pixel's ray.
     min_n_ray: [T; TILE_PIXELS],
@@ -108,9 +108,9 @@ impl<T: Real> TilePixels<T> {
         ]
     }
 
-    /// Calls `visit(places, pixels)` for the part of each of the tile's rows that lies in the
-    /// image: the places of its pixels in the tile's order, and their range in the image, row-major
-    /// from the first row of the tile.
+    /// Calls `visit(places, pixels)` for each pixel row of the tile, clipped to the image: the
+    /// pixels' places in the tile's order, and their range in the image, counted from the tile's
+    /// first row.
     #[inline(always)]
     pub fn for_each_row(
         &self,

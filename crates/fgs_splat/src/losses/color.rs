@@ -1,15 +1,14 @@
 //! L1 and SSIM of the rendered colour.
 //!
 //! Input: rendered colour and the target. Output: both means over the valid pixels, and the
-//! derivative of their weighted sum. The image is cut into strips of rows that are worked on
-//! independently, so that results do not depend on threads. A strip goes over its rows, and the 10
-//! above and below that its derivatives depend on, once: rings of 11 rows hold what the windows
-//! need, and stay in the cache.
+//! derivative of their weighted sum. Strips of rows are processed independently, so that results
+//! do not depend on the number of threads. Each strip streams through its rows, plus the 10 above
+//! and below that its derivatives depend on; ring buffers of 11 rows hold what the windows need and
+//! stay in the cache.
 //!
-//! Where a pixel is not compared the target stands in for the render: the windows of SSIM around it
-//! see an image that is right there, and it neither counts nor receives a derivative. Where the
-//! camera did not see a colour the target is black, so that both images are what they are outside
-//! the image: zero.
+//! At a pixel that is not compared the render is replaced by the target: SSIM's windows see no
+//! error there, and the pixel neither counts nor gets a derivative. Where the camera saw no colour
+//! the target is black, so that both images are zero, as outside the image.
 
 use super::blur::{CHANNELS, RADIUS, TAPS};
 use super::l1::{l1, sum_lanes};
@@ -18,8 +17,7 @@ use crate::kernel::{Kernel, dispatch};
 use fgs_geom::{Image, has_depth};
 use rayon::prelude::*;
 
-/// Rows of a strip: the 20 rows of overlap cost about a fifth of the time, and an image of 480 rows
-/// still occupies 8 threads.
+/// Rows per strip: the overlap costs about a fifth of the time, and 480 rows still make 8 tasks.
 const STRIP_ROWS: usize = 60;
 
 /// Means over valid pixels and channels, zero if there is none.

@@ -11,10 +11,10 @@ use rayon::prelude::*;
 
 /// One unit of depth error, which the weight of the depth loss refers to (the authors' code).
 pub(crate) const DEPTH_UNIT_M: f32 = 10.0;
-/// Depth is divided by at least this alpha: what covers less of a pixel tells no depth, and the
-/// quotient's derivatives grow without bound.
+/// Smallest alpha that depth is divided by: fainter pixels carry no depth, and the quotient's
+/// derivatives would grow without bound.
 pub(crate) const MIN_ALPHA: f32 = 0.05;
-/// Pixels that are summed together, whatever the number of threads.
+/// Pixels per task, for any number of threads.
 const CHUNK: usize = 4 * 1024;
 
 /// The mean over measured pixels, in units of 10 m; 0 if there is none.

@@ -1,4 +1,4 @@
-//! Keeps gaussians round in their plane and flat across it, Eq. (15).
+//! Keeps gaussians round within their plane and flat across it, Eq. (15).
 //!
 //! Input: the gaussians and which of them are in view. Output:
 //! `mean_i(|s_i1 - m_i| + |s_i2 - m_i|) + mean_i |s_i3 - epsilon|` with `m_i` the mean of gaussian
@@ -15,11 +15,11 @@ use crate::kernel::{Kernel, dispatch};
 use crate::{Gaussians, Real};
 use rayon::prelude::*;
 
-/// What the flat axis tends to, metres: the third scale that a gaussian is seeded with.
+/// Target length of the flat axis, metres: the third scale of a new gaussian.
 pub(crate) const FLAT_SCALE_M: f32 = 5e-6;
 /// Log-scales count as at most this (5e8 m), so that no scale overflows.
 pub(crate) const MAX_LOG_SCALE: f32 = 20.0;
-/// Gaussians that are summed together, whatever the number of threads.
+/// Gaussians per task, for any number of threads.
 const CHUNK: usize = 4096;
 
 /// Eq. (15) in metres over the gaussians `in_view`, and its derivative by their log-scales, one
