@@ -12,6 +12,7 @@
 //! where it is old while it is quick to fit where it is new.
 
 use crate::gaussians::retain;
+use crate::kernel::{Kernel, dispatch};
 use crate::rigid_motion::{RigidMotion, squared, transformed};
 use crate::{GaussianGradient, GaussianGradients, Gaussians, SettingError};
 use rayon::prelude::*;
@@ -107,11 +108,34 @@ pub enum AdamError {
     },
 }
 
+/// Places of a gaussian's derivatives or moments; its parameters have 14.
+const PLACES: usize = 16;
+
+/// A number for each parameter of a gaussian: centre, quaternion, log-scales, opacity logit and
+/// colour, then zeros up to a cache line.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[repr(align(64))]
+struct ByParameter([f32; PLACES]);
+
+impl ByParameter {
+    #[inline(always)]
+    fn of(gradient: &GaussianGradient) -> Self {
+        let [x, y, z] = gradient.d_mean;
+        let [qw, qx, qy, qz] = gradient.d_quat;
+        let [s0, s1, s2] = gradient.d_log_scales;
+        let opacity = gradient.d_opacity_logit;
+        let [r, g, b] = gradient.d_sh;
+        Self([
+            x, y, z, qw, qx, qy, qz, s0, s1, s2, opacity, r, g, b, 0.0, 0.0,
+        ])
+    }
+}
+
 /// First and second moments of every parameter, and each gaussian's number of steps.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Adam {
-    first: Gaussians,
-    second: Gaussians,
+    first: Vec<ByParameter>,
+    second: Vec<ByParameter>,
     steps: Vec<u32>,
 }
 
@@ -129,8 +153,8 @@ impl Adam {
     /// Adds fresh state for `count` new gaussians at the end.
     pub fn extend(&mut self, count: usize) {
         let len = self.len() + count;
-        self.first.resize(len);
-        self.second.resize(len);
+        self.first.resize(len, ByParameter::default());
+        self.second.resize(len, ByParameter::default());
         self.steps.resize(len, 0);
     }
 
@@ -139,8 +163,8 @@ impl Adam {
     /// # Panics
     /// Unless there is one flag for each gaussian.
     pub fn retain(&mut self, keep: &[bool]) {
-        self.first.retain(keep);
-        self.second.retain(keep);
+        retain(&mut self.first, keep);
+        retain(&mut self.second, keep);
         retain(&mut self.steps, keep);
     }
 
@@ -151,8 +175,13 @@ impl Adam {
             (&mut self.first, rotation, left),
             (&mut self.second, &squared(rotation), &squared(left)),
         ] {
-            moments.means[i] = transformed(rotation, &moments.means[i]);
-            moments.quats[i] = transformed(left, &moments.quats[i]);
+            let [x, y, z, qw, qx, qy, qz, rest @ ..] = moments[i].0;
+            let [x, y, z] = transformed(rotation, &[x, y, z]);
+            let [qw, qx, qy, qz] = transformed(left, &[qw, qx, qy, qz]);
+            let [s0, s1, s2, opacity, r, g, b, ..] = rest;
+            moments[i].0 = [
+                x, y, z, qw, qx, qy, qz, s0, s1, s2, opacity, r, g, b, 0.0, 0.0,
+            ];
         }
     }
 
@@ -184,82 +213,144 @@ impl Adam {
             return Err(AdamError::Touched { gaussians: len });
         }
 
-        let active: Vec<Active> = touched
-            .par_iter()
-            .zip(gradients)
-            .with_min_len(CHUNK)
-            .filter(|(_, gradient)| is_usable(gradient))
-            .map(|(index, gradient)| Active {
-                index: *index,
-                gradient,
-                corrections: Corrections::after(self.steps[*index as usize]),
-            })
-            .collect();
-        for gaussian in &active {
-            let steps = &mut self.steps[gaussian.index as usize];
-            *steps = steps.saturating_add(1);
-        }
-
-        let (first, second) = (&mut self.first, &mut self.second);
-        update(
-            &active,
-            |decay| rates.means * decay * decay,
-            &mut gaussians.means,
-            |gradient| gradient.d_mean,
-            &mut first.means,
-            &mut second.means,
-        );
-        update(
-            &active,
-            |decay| rates.quats * decay,
-            &mut gaussians.quats,
-            |gradient| gradient.d_quat,
-            &mut first.quats,
-            &mut second.quats,
-        );
-        update(
-            &active,
-            |decay| rates.log_scales * decay,
-            &mut gaussians.log_scales,
-            |gradient| gradient.d_log_scales,
-            &mut first.log_scales,
-            &mut second.log_scales,
-        );
-        update(
-            &active,
-            |decay| rates.opacity_logits * decay,
-            gaussians.opacity_logits.as_chunks_mut::<1>().0,
-            |gradient| [gradient.d_opacity_logit],
-            first.opacity_logits.as_chunks_mut::<1>().0,
-            second.opacity_logits.as_chunks_mut::<1>().0,
-        );
-        update(
-            &active,
-            |decay| rates.sh * decay,
-            &mut gaussians.sh,
-            |gradient| gradient.d_sh,
-            &mut first.sh,
-            &mut second.sh,
-        );
-        Ok(touched.len() - active.len())
+        let table = Corrections::table();
+        let skipped = (
+            gaussians.means.par_chunks_mut(CHUNK),
+            gaussians.quats.par_chunks_mut(CHUNK),
+            gaussians.log_scales.par_chunks_mut(CHUNK),
+            gaussians.opacity_logits.par_chunks_mut(CHUNK),
+            gaussians.sh.par_chunks_mut(CHUNK),
+            self.first.par_chunks_mut(CHUNK),
+            self.second.par_chunks_mut(CHUNK),
+            self.steps.par_chunks_mut(CHUNK),
+        )
+            .into_par_iter()
+            .enumerate()
+            .map(
+                |(chunk, (means, quats, log_scales, opacity_logits, sh, first, second, steps))| {
+                    let start = chunk * CHUNK;
+                    let position = |end| touched.partition_point(|i| (*i as usize) < end);
+                    let range = position(start)..position(start + steps.len());
+                    dispatch(MoveChunk {
+                        start,
+                        touched: &touched[range.clone()],
+                        gradients: &gradients[range],
+                        rates,
+                        table,
+                        means,
+                        quats,
+                        log_scales,
+                        opacity_logits,
+                        sh,
+                        first,
+                        second,
+                        steps,
+                    })
+                },
+            )
+            .sum();
+        Ok(skipped)
     }
 }
 
-/// Whether all derivatives, and their squares, are finite.
-fn is_usable(gradient: &GaussianGradient) -> bool {
-    let usable = |values: &[f32]| values.iter().all(|g| (g * g).is_finite());
-    usable(&gradient.d_mean)
-        && usable(&gradient.d_quat)
-        && usable(&gradient.d_log_scales)
-        && usable(&[gradient.d_opacity_logit])
-        && usable(&gradient.d_sh)
+/// Moves the touched gaussians among consecutive ones. Run it through [`dispatch`].
+struct MoveChunk<'a> {
+    /// Index of the first gaussian.
+    start: usize,
+    touched: &'a [u32],
+    gradients: &'a [GaussianGradient],
+    rates: &'a LearningRates,
+    table: &'static [Corrections],
+    means: &'a mut [[f32; 3]],
+    quats: &'a mut [[f32; 4]],
+    log_scales: &'a mut [[f32; 3]],
+    opacity_logits: &'a mut [f32],
+    sh: &'a mut [[f32; 3]],
+    first: &'a mut [ByParameter],
+    second: &'a mut [ByParameter],
+    steps: &'a mut [u32],
 }
 
-/// A gaussian to be moved.
-struct Active<'a> {
-    index: u32,
-    gradient: &'a GaussianGradient,
-    corrections: Corrections,
+impl Kernel for MoveChunk<'_> {
+    /// How many gaussians rest, for a gradient that is not usable.
+    type Output = usize;
+
+    #[inline(always)]
+    fn run<const FUSED: bool, const WIDTH: usize>(self) -> usize {
+        let rates = self.rates;
+        let rates = ByParameter::of(&GaussianGradient {
+            d_mean: [rates.means; 3],
+            d_quat: [rates.quats; 4],
+            d_log_scales: [rates.log_scales; 3],
+            d_opacity_logit: rates.opacity_logits,
+            d_sh: [rates.sh; 3],
+        });
+        let mut skipped = 0;
+        for (index, gradient) in self.touched.iter().zip(self.gradients) {
+            let i = *index as usize - self.start;
+            let gradient = ByParameter::of(gradient);
+            let usable = |ok: bool, g: &f32| ok & (g * g).is_finite();
+            if !gradient.0.iter().fold(true, usable) {
+                skipped += 1;
+                continue;
+            }
+            let steps_before = self.steps[i];
+            self.steps[i] = steps_before.saturating_add(1);
+            let corrections = match self.table.get(steps_before as usize) {
+                Some(tabled) => *tabled,
+                None => Corrections::new(steps_before),
+            };
+            let step = step(
+                &corrections,
+                &rates,
+                &gradient,
+                &mut self.first[i],
+                &mut self.second[i],
+            );
+            let [x, y, z, qw, qx, qy, qz, s0, s1, s2, opacity, r, g, b, ..] = step;
+            subtract(&mut self.means[i], [x, y, z]);
+            subtract(&mut self.quats[i], [qw, qx, qy, qz]);
+            subtract(&mut self.log_scales[i], [s0, s1, s2]);
+            self.opacity_logits[i] -= opacity;
+            subtract(&mut self.sh[i], [r, g, b]);
+        }
+        skipped
+    }
+}
+
+/// Takes a gradient into a gaussian's moments. What is to be subtracted from its parameters.
+#[inline(always)]
+fn step(
+    corrections: &Corrections,
+    rates: &ByParameter,
+    gradient: &ByParameter,
+    first: &mut ByParameter,
+    second: &mut ByParameter,
+) -> [f32; PLACES] {
+    let Corrections {
+        decay,
+        first: correction,
+        second_root,
+    } = *corrections;
+    let (ByParameter(mut m), ByParameter(mut v)) = (*first, *second);
+    let mut step = [0.0; PLACES];
+    for k in 0..PLACES {
+        let gradient = gradient.0[k];
+        m[k] = BETA_1 as f32 * m[k] + (1.0 - BETA_1) as f32 * gradient;
+        v[k] = BETA_2 as f32 * v[k] + (1.0 - BETA_2) as f32 * gradient * gradient;
+        let root = v[k].sqrt() * second_root;
+        let decay = if k < 3 { decay * decay } else { decay };
+        step[k] = rates.0[k] * decay * correction * m[k] / (root + EPSILON);
+    }
+    (*first, *second) = (ByParameter(m), ByParameter(v));
+    step
+}
+
+#[inline(always)]
+fn subtract<const K: usize>(params: &mut [f32; K], step: [f32; K]) {
+    for (param, step) in params.iter_mut().zip(step) {
+        *param -= step;
+    }
 }
 
 /// What a gaussian's number of steps makes of its moments and learning rates.
@@ -281,13 +372,6 @@ impl Corrections {
         &TABLE
     }
 
-    fn after(steps_before: u32) -> Self {
-        match Self::table().get(steps_before as usize) {
-            Some(tabled) => *tabled,
-            None => Self::new(steps_before),
-        }
-    }
-
     fn new(steps_before: u32) -> Self {
         let steps = steps_before.min(i32::MAX as u32 - 1) as i32 + 1;
         Self {
@@ -296,45 +380,6 @@ impl Corrections {
             second_root: (1.0 - BETA_2.powi(steps)).sqrt().recip() as f32,
         }
     }
-}
-
-/// One step of one of the parameters' arrays. `active` ascends; `rate` is the learning rate by what
-/// age has left of it.
-fn update<const K: usize>(
-    active: &[Active<'_>],
-    rate: impl Fn(f32) -> f32 + Sync,
-    params: &mut [[f32; K]],
-    d_params: impl Fn(&GaussianGradient) -> [f32; K] + Sync,
-    first: &mut [[f32; K]],
-    second: &mut [[f32; K]],
-) {
-    params
-        .par_chunks_mut(CHUNK)
-        .zip(first.par_chunks_mut(CHUNK))
-        .zip(second.par_chunks_mut(CHUNK))
-        .enumerate()
-        .for_each(|(chunk, ((params, first), second))| {
-            let start = chunk * CHUNK;
-            let position = |end| active.partition_point(|a| (a.index as usize) < end);
-            for gaussian in &active[position(start)..position(start + params.len())] {
-                let local = gaussian.index as usize - start;
-                let Corrections {
-                    decay,
-                    first: correction,
-                    second_root,
-                } = gaussian.corrections;
-                let rate = rate(decay) * correction;
-                let d_params = d_params(gaussian.gradient);
-                for k in 0..K {
-                    let gradient = d_params[k];
-                    let (m, v) = (&mut first[local][k], &mut second[local][k]);
-                    *m = BETA_1 as f32 * *m + (1.0 - BETA_1) as f32 * gradient;
-                    *v = BETA_2 as f32 * *v + (1.0 - BETA_2) as f32 * gradient * gradient;
-                    let root = v.sqrt() * second_root;
-                    params[local][k] -= rate * *m / (root + EPSILON);
-                }
-            }
-        });
 }
 
 #[cfg(test)]

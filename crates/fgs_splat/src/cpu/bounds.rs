@@ -1,31 +1,34 @@
 //! Which pixel blocks a gaussian's support touches.
 //!
-//! An image is cut into tiles of 32x16 pixels and each tile into 8x4 blocks of 4x4 pixels, whose
-//! 16 pixels the blending handles as 16 lanes. Bounds come from the ellipse itself and are never
-//! too small: blending decides each pixel anyway.
+//! The image is divided into tiles of 32x16 pixels, and each tile into 16x4 blocks of 2x4 pixels. A
+//! block fills 8 SIMD lanes; kernels with 16 lanes process two neighbouring blocks, 4x4 pixels.
+//! Bounds are computed from the ellipse and are conservative: blending tests each pixel anyway.
 
-use super::lanes::{LANES, Lanes};
+use super::lanes::LANES;
 use super::project::Splat;
 use super::real::Real;
 use crate::rendering::ALPHA_MIN;
 
-/// Pixels along a side of a block. 4x4 blocks waste fewer lanes at an ellipse's rim than 16x1.
-pub(super) const BLOCK: usize = 4;
-/// A block's pixels are worked on together.
-const _: () = assert!(BLOCK * BLOCK == LANES);
-/// Blocks from left to right of a tile: as many as the nearest cache holds what is known of their
-/// pixels, since every tile that a gaussian touches costs something.
-pub(super) const TILE_COLUMNS: usize = 8;
+/// Pixels from left to right of a block.
+pub(super) const BLOCK_WIDTH: usize = 2;
+/// Pixels from top to bottom of a block.
+pub(super) const BLOCK_HEIGHT: usize = 4;
+const _: () = assert!(BLOCK_WIDTH * BLOCK_HEIGHT == LANES);
+/// Blocks from left to right of a tile. Each tile a gaussian touches adds overhead, so tiles are as
+/// large as the L1 cache allows for the state of their pixels.
+pub(super) const TILE_COLUMNS: usize = 16;
 /// Blocks from top to bottom of a tile.
 pub(super) const TILE_ROWS: usize = 4;
 /// Blocks of a tile.
 pub(super) const BLOCKS: usize = TILE_COLUMNS * TILE_ROWS;
 /// Pixels from left to right of a tile.
-pub(super) const TILE_WIDTH: usize = BLOCK * TILE_COLUMNS;
+pub(super) const TILE_WIDTH: usize = BLOCK_WIDTH * TILE_COLUMNS;
 /// Pixels from top to bottom of a tile.
-pub(super) const TILE_HEIGHT: usize = BLOCK * TILE_ROWS;
+pub(super) const TILE_HEIGHT: usize = BLOCK_HEIGHT * TILE_ROWS;
+/// Pixels of a tile.
+pub(super) const TILE_PIXELS: usize = LANES * BLOCKS;
 /// A bit for each block of a tile: bit `TILE_COLUMNS * row + column`.
-pub(super) type BlockSet = u32;
+pub(super) type BlockSet = u64;
 const _: () = assert!(BLOCKS == BlockSet::BITS as usize);
 
 /// A gaussian's presence in a tile.
@@ -33,9 +36,9 @@ const _: () = assert!(BLOCKS == BlockSet::BITS as usize);
 pub(super) struct Touch {
     /// Row-major number of the tile.
     pub tile: u32,
-    /// Position of the gaussian's splat among its chunk's.
+    /// Index of the gaussian's splat in its chunk.
     pub splat: u16,
-    /// Those that may be touched.
+    /// Blocks that the gaussian may touch.
     pub blocks: BlockSet,
 }
 
@@ -63,23 +66,26 @@ impl TileGrid {
     }
 }
 
-/// The ellipse that a splat's alpha reaches, and the rows of pixels that it may touch.
+/// The ellipse inside which a splat's alpha reaches `ALPHA_MIN`, and the pixel rows it may touch.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Support<T> {
     /// Squared radius in whitened coordinates.
     radius2: T,
-    /// The rightmost point has this dy, the leftmost its negative.
+    /// dy of the rightmost point; the leftmost has its negative.
     rightmost_dy: T,
     first_row: i32,
     last_row: i32,
 }
 
-/// Pixels that the ellipse is larger than it should be, for what rounding does.
+/// Margin for rounding, pixels.
 pub(crate) const SLACK_PX: f64 = 1e-2;
 
-/// Tiles of a row that are worked on together: a bit for each of their columns of blocks, one
-/// after the last included, fits into 32.
+/// Tiles of a row that are processed together: the block columns of so many tiles, and one more
+/// bit, fit into 64 bits.
 const STRIP: i32 = 3;
+
+/// Rows of blocks that are processed together.
+const BANDS: usize = 8;
 
 /// A bit for each column of blocks of a tile.
 const ROW: BlockSet = (1 << TILE_COLUMNS) - 1;
@@ -88,8 +94,7 @@ impl<T: Real> Support<T> {
     /// Branch-free: runs over lanes of gaussians.
     #[inline(always)]
     pub fn new(splat: &Splat<T>, grid: &TileGrid) -> Self {
-        // Where alpha reaches `ALPHA_MIN`. Rounding may put a pixel's exponent a little off: the
-        // support grows by more than that.
+        // Where alpha reaches `ALPHA_MIN`, plus more than the rounding error of a pixel's exponent.
         let exact = (splat.opacity * T::from_f64(1.0 / ALPHA_MIN)).log2_at_least();
         let radius2 = (exact * T::from_f64(1.001) + T::from_f64(1e-3)).max(T::ZERO);
         let radius = radius2.sqrt();
@@ -105,7 +110,8 @@ impl<T: Real> Support<T> {
         }
     }
 
-    /// Appends every tile that is touched, row by row. `number` is the splat's among its chunk's.
+    /// Appends a touch for every tile touched, row by row. `number` is the splat's index in its
+    /// chunk.
     #[inline(always)]
     pub fn push_touches(
         &self,
@@ -119,16 +125,16 @@ impl<T: Real> Support<T> {
         }
         let (tile, tile_blocks) = (TILE_HEIGHT as i32, TILE_COLUMNS as i32);
         let last_tile_row = self.last_row / tile;
-        for group in (self.first_row / tile..=last_tile_row).step_by(LANES / TILE_ROWS) {
+        for group in (self.first_row / tile..=last_tile_row).step_by(BANDS / TILE_ROWS) {
             let (first, end) = self.columns(splat, grid, group * tile);
             let first_tile = first.iter().fold(i32::MAX, |a, &b| a.min(b)) / tile_blocks;
             let end_tile = (end.iter().fold(0, |a, &b| a.max(b)) + tile_blocks - 1) / tile_blocks;
             for strip in (first_tile..end_tile).step_by(STRIP as usize) {
                 let origin = strip * tile_blocks;
                 let width = STRIP * tile_blocks;
-                // Bands one block high, which make whole rows of tiles.
-                let mut bands: Lanes<BlockSet> = [0; LANES];
-                for lane in 0..LANES {
+                // The blocks touched in each row of blocks.
+                let mut bands: [BlockSet; BANDS] = [0; BANDS];
+                for lane in 0..BANDS {
                     let from = (first[lane] - origin).max(0).min(width);
                     let to = (end[lane] - origin).min(width).max(from);
                     bands[lane] = (1 << to) - (1 << from);
@@ -154,24 +160,23 @@ impl<T: Real> Support<T> {
         }
     }
 
-    /// First and after the last column of blocks that is touched in each of 16 bands, of which the
-    /// first begins with that row of pixels. The first is `i32::MAX` / 2 and the last 0 where there
-    /// is none.
+    /// The half-open range of block columns touched in each of `BANDS` rows of blocks, the first of
+    /// which starts at pixel row `row`. An empty range is `i32::MAX / 2..0`.
     #[inline(always)]
-    fn columns(&self, splat: &Splat<T>, grid: &TileGrid, row: i32) -> (Lanes<i32>, Lanes<i32>) {
+    fn columns(&self, splat: &Splat<T>, grid: &TileGrid, row: i32) -> ([i32; BANDS], [i32; BANDS]) {
         let slack = T::from_f64(SLACK_PX);
         let (wxy, wyy) = (splat.whiten_xy, splat.whiten_yy);
         let [mean_x, mean_y] = splat.mean2d;
-        let block = BLOCK as i32;
+        let (block_width, block_height) = (BLOCK_WIDTH as i32, BLOCK_HEIGHT as i32);
         let width = T::ONE / splat.whiten_xx;
         let edge = |dy: T, side: T| {
             let q = wyy * dy;
             (side * (self.radius2 - q * q).max(T::ZERO).sqrt() - wxy * dy) * width
         };
-        let (mut firsts, mut ends) = ([0; LANES], [0; LANES]);
-        for lane in 0..LANES {
-            let top = row + lane as i32 * block;
-            let bottom = (top + block - 1).min(self.last_row);
+        let (mut firsts, mut ends) = ([0; BANDS], [0; BANDS]);
+        for lane in 0..BANDS {
+            let top = row + lane as i32 * block_height;
+            let bottom = (top + block_height - 1).min(self.last_row);
             let top = top.max(self.first_row);
             let dy_top = T::from_i32(top) - mean_y - slack;
             let dy_bottom = T::from_i32(bottom) - mean_y + slack;
@@ -179,15 +184,18 @@ impl<T: Real> Support<T> {
             let left = edge((-self.rightmost_dy).max(dy_top).min(dy_bottom), -T::ONE) - slack;
             let (first, last) = pixels(mean_x + left, mean_x + right, grid.width);
             let touched = (top <= bottom) & (first <= last);
-            firsts[lane] = if touched { first / block } else { i32::MAX / 2 };
-            ends[lane] = if touched { last / block + 1 } else { 0 };
+            firsts[lane] = if touched {
+                first / block_width
+            } else {
+                i32::MAX / 2
+            };
+            ends[lane] = if touched { last / block_width + 1 } else { 0 };
         }
         (firsts, ends)
     }
 }
 
-/// First and last integer in `[low, high]` and in `[0, size)`; the first is greater than the last
-/// where there is none.
+/// First and last integer within both `[low, high]` and `[0, size)`; first > last if there is none.
 #[inline(always)]
 fn pixels<T: Real>(low: T, high: T, size: usize) -> (i32, i32) {
     let end = T::from_i32(size as i32);

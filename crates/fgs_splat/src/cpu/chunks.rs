@@ -1,5 +1,5 @@
-//! The two stages that go over gaussians, each cut into chunks of a fixed size: projection, and
-//! the way back from the sums over pixels to the parameters.
+//! The two per-gaussian stages, in chunks of a fixed size: projection, and its derivative from the
+//! sums over pixels.
 
 use super::bounds::{Support, TileGrid, Touch};
 use super::cull::Frustum;
@@ -11,32 +11,32 @@ use super::real::Real;
 use crate::kernel::Kernel;
 use crate::{GaussianGradient, GaussianGradients, Gaussians};
 
-/// Gaussians of a chunk: large enough that starting a task costs nothing, small enough to spread.
+/// Gaussians per chunk: large enough to amortise a task's overhead, small enough to balance load.
 pub(super) const CHUNK: usize = 2048;
 const _: () = assert!(
     CHUNK <= 1 << 16,
     "a touch counts a chunk's splats in 16 bits"
 );
 
-/// Touches whose sums are asked for ahead: about as many as the cache nearest by has room for.
+/// Prefetch distance in touches: about as many sums as fit into L1.
 const PREFETCH: usize = 64;
 
 /// A gaussian with at least one touch.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Visible {
     pub gaussian: u32,
-    /// The gaussian's touches end here in the chunk's; they start where the one before ends.
+    /// End of the gaussian's touches in the chunk's; they start where the previous gaussian's end.
     pub touches_end: u32,
 }
 
-/// A splat's number among all: its chunk's number times [`CHUNK`] plus its place in the chunk.
+/// The splat with a global number: its chunk times [`CHUNK`] plus its index in the chunk.
 #[inline(always)]
 pub(super) fn splat<T>(chunks: &[Chunk<T>], number: u32) -> &Splat<T> {
     let number = number as usize;
     &chunks[number / CHUNK].splats[number % CHUNK]
 }
 
-/// What is found among the gaussians of a chunk.
+/// Results for the gaussians of a chunk.
 #[derive(Debug, Default)]
 pub(super) struct Chunk<T> {
     in_view: Vec<u32>,
@@ -82,7 +82,7 @@ impl<T: Real> Kernel for ProjectChunk<'_, T> {
         self.frustum
             .push_in_view::<FUSED>(self.camera, self.gaussians, self.first, end, in_view);
         if in_view.is_empty() {
-            // Of a large map most is out of view for long: nothing is kept for it.
+            // Most of a large map stays out of view: free its buffers.
             *self.chunk = Chunk::default();
             return;
         }
@@ -118,7 +118,7 @@ impl<T: Real> Kernel for ProjectChunk<'_, T> {
     }
 }
 
-/// The parameters of up to `WIDTH` gaussians, side by side.
+/// The parameters of up to `WIDTH` gaussians, one per lane.
 #[inline(always)]
 fn load_parameters<const WIDTH: usize, T: Real>(
     gaussians: &Gaussians<T>,
@@ -132,8 +132,8 @@ fn load_parameters<const WIDTH: usize, T: Real>(
     lanes
 }
 
-/// Adds up the sums of each gaussian of a chunk and carries them to its parameters. Run it
-/// through [`crate::kernel::dispatch`].
+/// Adds up each gaussian's sums over its tiles and differentiates its projection. Run it through
+/// [`crate::kernel::dispatch`].
 pub(super) struct ProjectChunkVjp<'a, T: Real> {
     pub gaussians: &'a Gaussians<T>,
     pub camera: &'a ScreenCamera<T>,

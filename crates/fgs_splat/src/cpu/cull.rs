@@ -1,18 +1,19 @@
-//! Leaves out gaussians that cannot reach the image, by their centre and longest axis alone: most
-//! of a map is out of view. Never leaves out one that reaches it; `bounds` decides exactly.
+//! Frustum culling by a gaussian's centre and longest axis: most of a map is out of view.
+//! Conservative; `bounds` decides exactly.
 
-use super::lanes::LANES;
 use super::project::ScreenCamera;
 use super::real::Real;
 use crate::Gaussians;
 use crate::kernel::mul_add;
 use crate::rendering::{ALPHA_MIN, LOW_PASS_PX2, NEAR_M};
 
-/// Pixels beyond the border that still count as in view, for what rounding does.
+/// Gaussians that are tested together.
+const LANES: usize = 16;
+/// Margin around the image for rounding, pixels.
 const SLACK_PX: f64 = 1.0;
 
-/// The part of space that a view shows: along each axis, in camera axes,
-/// `|x - middle z| <= half z + reach scale`, `scale` being the gaussian's longest axis.
+/// A view's frustum in camera axes: along x and y a gaussian is in view if
+/// `|x - middle z| <= half z + reach scale`, with `scale` the length of its longest axis.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Frustum<T> {
     pub middle: [T; 2],
@@ -22,7 +23,7 @@ pub(crate) struct Frustum<T> {
 
 impl<T: Real> Frustum<T> {
     pub fn new(camera: &ScreenCamera<T>) -> Self {
-        // Further out than so many standard deviations nothing is left of even an opaque gaussian.
+        // Beyond so many standard deviations even an opaque gaussian is under `ALPHA_MIN`.
         let deviations = (2.0 * (1.0 / ALPHA_MIN).ln()).sqrt();
         let size = [camera.width, camera.height];
         let by_axis = |value: &dyn Fn(usize, f64, f64) -> f64| {
@@ -48,7 +49,7 @@ impl<T: Real> Frustum<T> {
         }
     }
 
-    /// Appends those of the gaussians `first..end` that may be in view.
+    /// Appends the indices of gaussians in `first..end` that may be in view.
     #[inline(always)]
     pub fn push_in_view<const FUSED: bool>(
         &self,

@@ -1,32 +1,44 @@
-//! Things side by side, as wide registers hold them: a loop over lanes that neither branches nor
-//! calls is compiled to work on all of them at once. A kernel's `WIDTH` tells how many things that
-//! should be: blocks of 16 pixels are worked on in one part or in two.
+//! SIMD lanes as plain arrays: a loop over lanes without branches or calls is vectorised by the
+//! compiler. A kernel's `WIDTH` is its number of lanes: the pixels of one block or of two.
 
 /// Pixels of a block.
-pub(super) const LANES: usize = 16;
+pub(super) const LANES: usize = 8;
 
-/// A number of each pixel of a block.
-pub(super) type Lanes<T> = [T; LANES];
-
-/// The numbers of a block's pixels from `first` on.
+/// The `group`-th group of `WIDTH` values.
 #[inline(always)]
-pub(super) fn part<T: Copy, const WIDTH: usize>(lanes: &Lanes<T>, first: usize) -> [T; WIDTH] {
-    std::array::from_fn(|lane| lanes[first + lane])
+pub(super) fn group<T, const WIDTH: usize, const N: usize>(
+    values: &[T; N],
+    group: usize,
+) -> &[T; WIDTH] {
+    &values.as_chunks::<WIDTH>().0[group % (N / WIDTH)]
 }
 
-/// Puts the numbers of a block's pixels from `first` on in their places.
+/// As [`group`], mutable.
 #[inline(always)]
-pub(super) fn set_part<T: Copy, const WIDTH: usize>(
-    lanes: &mut Lanes<T>,
-    first: usize,
-    values: [T; WIDTH],
-) {
-    for (lane, value) in values.into_iter().enumerate() {
-        lanes[first + lane] = value;
-    }
+pub(super) fn group_mut<T, const WIDTH: usize, const N: usize>(
+    values: &mut [T; N],
+    group: usize,
+) -> &mut [T; WIDTH] {
+    &mut values.as_chunks_mut::<WIDTH>().0[group % (N / WIDTH)]
 }
 
-/// All numbers of one thing.
+/// Whether any lane is true.
+#[inline(always)]
+pub(super) fn any<const WIDTH: usize>(lanes: [bool; WIDTH]) -> bool {
+    lanes.iter().fold(false, |any, lane| any | lane)
+}
+
+/// Positions of the set bits, ascending.
+#[inline(always)]
+pub(super) fn ones(mut bits: u64) -> impl Iterator<Item = usize> + Clone {
+    std::iter::from_fn(move || {
+        let lowest = (bits != 0).then(|| bits.trailing_zeros() as usize % 64);
+        bits &= bits.wrapping_sub(1);
+        lowest
+    })
+}
+
+/// All values of one lane.
 #[inline(always)]
 pub(super) fn column<T: Copy, const WIDTH: usize, const N: usize>(
     lanes: &[[T; WIDTH]; N],
@@ -35,7 +47,7 @@ pub(super) fn column<T: Copy, const WIDTH: usize, const N: usize>(
     std::array::from_fn(|i| lanes[i][lane])
 }
 
-/// Puts all numbers of one thing in their places.
+/// Sets all values of one lane.
 #[inline(always)]
 pub(super) fn set_column<T: Copy, const WIDTH: usize, const N: usize>(
     lanes: &mut [[T; WIDTH]; N],

@@ -1,9 +1,9 @@
-//! The rasteriser on the CPU: gaussians and a view in, colour, depth and alpha out, and the way
-//! back from their derivatives to the gaussians'.
+//! The CPU rasteriser: renders gaussians to colour, depth and alpha, and propagates image
+//! derivatives back to the gaussians' parameters.
 //!
-//! Stages: project each gaussian and find the pixel blocks it touches (`project`, `bounds`), make
-//! a depth-sorted list for each tile (`tiles`), blend each tile (`sample`, `forward`); then each
-//! tile backwards (`backward`) and each gaussian back to its parameters (`project_vjp`).
+//! Forward: project each gaussian and find the pixel blocks it touches (`project`, `bounds`), build
+//! a depth-sorted list per tile (`tiles`), blend each tile (`sample`, `forward`). Backward: walk
+//! each tile's list in reverse (`backward`), then differentiate the projection (`project_vjp`).
 //! Invariant: every sum has a fixed order, so results do not depend on the number of threads.
 
 mod backward;
@@ -37,8 +37,7 @@ use tiles::{TileLists, split_by_tile_row, take_front};
 use crate::kernel::dispatch;
 use crate::{Gaussians, Rendered};
 
-/// Renders gaussians. Owns the memory of a pass, so that passes of the same size allocate next to
-/// nothing.
+/// Renders gaussians. Keeps its buffers, so that repeated passes hardly allocate.
 #[derive(Debug, Default)]
 pub struct Rasterizer<T: Real = f32> {
     chunks: Vec<Chunk<T>>,
@@ -51,8 +50,8 @@ pub struct Rasterizer<T: Real = f32> {
 }
 
 impl<T: Real> Rasterizer<T> {
-    /// Renders a view. Damaged gaussians (a value not finite or absurd, a zero quaternion) are
-    /// not drawn.
+    /// Renders a view. Skips damaged gaussians: non-finite or absurdly large values, zero
+    /// quaternions.
     ///
     /// # Panics
     /// If the gaussians' arrays differ in length.
@@ -90,7 +89,7 @@ impl<T: Real> Rasterizer<T> {
             });
     }
 
-    /// Fills `rendered` and `states`, and completes the tiles' lists.
+    /// Sorts each tile's list and blends it: fills `rendered`, `states` and `lists.entries`.
     fn blend(&mut self, camera: &ScreenCamera<T>, grid: &TileGrid) {
         let Self {
             chunks,

@@ -1,8 +1,8 @@
-//! One gaussian from world axes to the screen: covariance by the local affine projection with a
-//! low-pass, in a factored form that neither loses digits nor needs a matrix inverse, and the
-//! plane of its disk for the depth. Branch-free: runs over lanes of gaussians.
+//! Projects a gaussian to the screen: its covariance by the local affine approximation plus a
+//! low-pass, factored so that no digits cancel and no matrix is inverted, and the plane of its disk
+//! for the depth. Branch-free: runs over lanes of gaussians.
 //!
-//! [`Projection`] keeps what the derivative needs; [`Splat`] is what the blending reads.
+//! [`Projection`] keeps what the derivative needs; [`Splat`] is what blending reads.
 
 use fgs_geom::View;
 
@@ -15,7 +15,7 @@ use crate::rendering::{
     NEAR_M,
 };
 
-/// sqrt(log2(e) / 2): with the whitening scaled by it, `exp(-|y|^2 / 2) = 2^-(p^2 + q^2)`.
+/// sqrt(log2(e) / 2). Scaling the whitening by it turns `exp(-|y|^2 / 2)` into `2^-(p^2 + q^2)`.
 pub(crate) const WHITEN_SCALE: f64 = 0.849_321_800_288_019_1;
 
 /// A view in the rasteriser's number type.
@@ -26,7 +26,7 @@ pub(crate) struct ScreenCamera<T> {
     /// Focal lengths x, y and principal point x, y, pixels.
     pub focal: [T; 2],
     pub center: [T; 2],
-    /// Per axis, the range of x/z (y/z) in which the projection is linearised where it is.
+    /// Limits to which x/z and y/z are clamped where the projection is linearised.
     pub tangent_min: [T; 2],
     pub tangent_max: [T; 2],
     /// Row-major.
@@ -139,7 +139,7 @@ impl<T: Real> Parameters<T> {
 /// Number of values of a splat.
 pub(super) const SPLAT: usize = 14;
 
-/// A gaussian as the blending sees it. 64 bytes in `f32`: one cache line.
+/// A projected gaussian as blending reads it. 64 bytes in `f32`: one cache line.
 ///
 /// With `dx = u - mean2d[0]`, `dy = v - mean2d[1]`, `p = whiten_xx dx + whiten_xy dy` and
 /// `q = whiten_yy dy`, its alpha is `opacity 2^-(p^2 + q^2)`.
@@ -156,14 +156,21 @@ pub(super) struct Splat<T> {
     pub color: [T; 3],
     /// z of the centre, metres.
     pub center_depth: T,
-    /// `normal . ray(u, v) = plane[0] + plane[1] dx + plane[2] dy`, the normal turned so that
-    /// `plane_offset` is positive. Where it never is, `plane[0] = -1` with slope 0.
+    /// `normal . ray(u, v) = plane[0] + plane[1] dx + plane[2] dy`, the normal oriented so that
+    /// `plane_offset` is positive. `[-1, 0, 0]` if `plane_offset` is 0 either way.
     pub plane: [T; 3],
     /// `normal . center`, metres: depth = plane_offset / (normal . ray).
     pub plane_offset: T,
 }
 
 impl<T: Real> Splat<T> {
+    /// p and q at an offset from the centre, pixels.
+    #[inline(always)]
+    pub fn whitened<const FUSED: bool>(&self, dx: T, dy: T) -> [T; 2] {
+        let p = mul_add::<FUSED, T>(self.whiten_xx, dx, self.whiten_xy * dy);
+        [p, self.whiten_yy * dy]
+    }
+
     #[inline(always)]
     pub fn to_array(self) -> [T; SPLAT] {
         let [u, v] = self.mean2d;
@@ -222,12 +229,12 @@ impl<T: Real> Splat<T> {
 /// A projected gaussian with what its derivative needs.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Projection<T> {
-    /// Whether there is anything to draw: not too near, too faint or damaged (see the limits in
-    /// `rendering.rs`). Without it the other values mean nothing.
+    /// False if the gaussian is too near, too faint or damaged (limits in `rendering.rs`); the
+    /// other fields are then meaningless.
     pub drawn: bool,
     /// Centre in camera axes, metres.
     pub center: [T; 3],
-    /// x/z and y/z of the centre, and where the projection is linearised.
+    /// x/z and y/z of the centre, and the same clamped, where the projection is linearised.
     pub tangent: [T; 2],
     pub clamped_tangent: [T; 2],
     pub quat_norm: T,
@@ -242,7 +249,7 @@ pub(super) struct Projection<T> {
     pub cov2d: [T; 3],
     pub det: T,
     pub opacity: T,
-    /// Before it is cut at 0.
+    /// Before clamping at 0.
     pub raw_color: [T; 3],
 }
 
@@ -371,8 +378,8 @@ impl<T: Real> Projection<T> {
         [whiten_xx, -whiten_xx * xy / yy, T::ONE / yy.sqrt()]
     }
 
-    /// The disk's normal (third axis) in camera axes times the second value, 1 or -1, so that the
-    /// third, its dot product with the centre, is not negative.
+    /// The disk's normal (third axis) in camera axes, flipped if needed so that `normal . center`
+    /// is not negative; the sign applied; and `normal . center`.
     #[inline(always)]
     pub fn normal<const FUSED: bool>(&self) -> ([T; 3], T, T) {
         let normal: [T; 3] = std::array::from_fn(|row| self.camera_from_gaussian[row][2]);

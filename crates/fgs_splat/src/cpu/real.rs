@@ -1,7 +1,6 @@
-//! The two number types of the CPU rasteriser: `f32` for work, `f64` to hold it against the
-//! reference.
+//! The number types of the CPU rasteriser: `f32` in use, `f64` to test it against the reference.
 //!
-//! Everything here is branch-free where a lane loop uses it, so that the loops vectorise.
+//! Functions that lane loops call are branch-free, so that the loops vectorise.
 
 use std::fmt::Debug;
 use std::ops::{Add, AddAssign, Div, Mul, MulAssign, Neg, Sub};
@@ -40,30 +39,29 @@ pub trait Real:
     fn from_i32(value: i32) -> Self;
     /// Square root.
     fn sqrt(self) -> Self;
-    /// e^x. `f32`: x is cut to what 2^-100 and 2^100 are the powers of; relative error under
-    /// 2^-22 + 2^-23 |x|.
+    /// e^x. `f32`: clamped to 2^-100..2^100; relative error under 2^-22 + 2^-23 |x|.
     fn exp<const FUSED: bool>(self) -> Self;
-    /// The base 2 logarithm or up to 0.02 more.
+    /// An upper bound of the base 2 logarithm, at most 0.02 too large.
     fn log2_at_least(self) -> Self;
     /// a b + c, rounded once.
     fn fused_mul_add(self, b: Self, c: Self) -> Self;
     /// 2^-x for x >= 0, exactly 1 at 0; x above 100 counts as 100. `f32`: relative error under
     /// 2^-22.
     fn exp2_neg<const FUSED: bool>(self) -> Self;
-    /// A key from a positive value and an index.
+    /// The sort key of a positive value and an index.
     fn sort_key(self, index: u32) -> Self::SortKey;
     /// The key's index.
     fn sorted_index(key: Self::SortKey) -> u32;
-    /// The greatest integer that is not above, of a value within +-2^22.
+    /// Rounded down, for values within +-2^22.
     fn floor_i32(self) -> i32;
 
-    /// The lesser; `other` if either is NaN.
+    /// The smaller value; `other` if either is NaN.
     #[inline(always)]
     fn min(self, other: Self) -> Self {
         if self < other { self } else { other }
     }
 
-    /// The greater; `other` if either is NaN.
+    /// The larger value; `other` if either is NaN.
     #[inline(always)]
     fn max(self, other: Self) -> Self {
         if self > other { self } else { other }
@@ -76,8 +74,8 @@ pub trait Real:
     }
 }
 
-/// 1.5 * 2^23: added to a value within +-2^22 it rounds it to an integer, which then stands in the
-/// lowest bits.
+/// 1.5 * 2^23: adding it to a value within +-2^22 rounds to an integer and leaves that in the low
+/// bits.
 const ROUND: f32 = 12_582_912.0;
 
 /// Minimax polynomial of 2^f on [-1/2, 1/2] with value 1 at 0, from the linear term up: relative
@@ -151,7 +149,7 @@ impl Real for f32 {
     }
     #[inline(always)]
     fn floor_i32(self) -> i32 {
-        // `as` saturates, for which registers of several values have no instruction.
+        // `as` saturates, which has no SIMD instruction.
         let bits = (self.floor() + ROUND).to_bits();
         bits.wrapping_sub(ROUND.to_bits()) as i32
     }

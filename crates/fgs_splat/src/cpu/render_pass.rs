@@ -1,6 +1,6 @@
-//! A finished render: its images, the gaussians seen in it, and the way back from the derivatives by
-//! the images to those by the gaussians' parameters. Invariant: the gaussians and the memory of the
-//! pass are borrowed, so nothing can change between the pass and its derivative.
+//! A finished render: its images, the gaussians visible in it, and its backward pass. Invariant: it
+//! borrows the gaussians and the rasteriser's buffers, so that nothing changes before the backward
+//! pass.
 
 use fgs_geom::Image;
 use rayon::prelude::*;
@@ -17,8 +17,8 @@ use super::tiles::{TileLists, split_by_tile_row, take_front};
 use crate::kernel::dispatch;
 use crate::{Cotangents, GaussianGradients, Gaussians, Rendered};
 
-/// A finished render, which can be differentiated. Borrows the gaussians, so that they cannot
-/// change in between.
+/// A finished render, ready to be differentiated. Borrows the gaussians, so that they cannot change
+/// before that.
 #[derive(Debug)]
 pub struct RenderPass<'a, T: Real = f32> {
     pub(super) scratch: &'a mut Rasterizer<T>,
@@ -33,8 +33,8 @@ impl<T: Real> RenderPass<'_, T> {
         &self.scratch.rendered
     }
 
-    /// How many times a gaussian meets a pixel of the blocks it touches: the work of blending, but
-    /// for what saturated pixels spare.
+    /// Pairs of a gaussian and a pixel of the blocks it touches: the cost of blending, were no
+    /// pixel ever saturated.
     pub fn evaluations(&self) -> usize {
         let blocks = self
             .scratch
@@ -45,7 +45,7 @@ impl<T: Real> RenderPass<'_, T> {
         LANES * blocks.sum::<u32>() as usize
     }
 
-    /// The gaussians that contributed to a pixel, ascending.
+    /// Indices of the gaussians that contributed to a pixel, ascending.
     pub fn visible(&self) -> Vec<u32> {
         let Rasterizer { chunks, lists, .. } = &*self.scratch;
         let mut contributed = vec![false; chunks.len() * CHUNK];
@@ -60,8 +60,8 @@ impl<T: Real> RenderPass<'_, T> {
             .collect()
     }
 
-    /// The loss's derivatives by the gaussians' parameters, from those by the images, in place of
-    /// what `gradients` held.
+    /// Vector-Jacobian product: from the loss's derivatives by the images to those by the
+    /// gaussians' parameters. Overwrites `gradients`.
     ///
     /// # Panics
     /// If the cotangents' images are not of the camera's size.
@@ -121,7 +121,7 @@ impl<T: Real> RenderPass<'_, T> {
             });
     }
 
-    /// Adds up each gaussian's sums and carries them to its parameters.
+    /// Differentiates the projection of each gaussian.
     fn project_vjp(&mut self, gradients: &mut GaussianGradients<T>) {
         let Rasterizer { chunks, sums, .. } = &mut *self.scratch;
         let (gaussians, camera) = (self.gaussians, &self.camera);

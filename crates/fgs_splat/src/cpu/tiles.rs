@@ -1,8 +1,7 @@
-//! Per-tile lists of gaussians in the order of blending.
+//! Per-tile lists of gaussians in blending order.
 //!
-//! The touches are dealt out to their tiles in the order of the gaussians, then each tile sorts
-//! its own list by depth, equally near ones by the order of the gaussians. Sizes of lists and their
-//! entries come from the same touches.
+//! A counting sort distributes the touches to their tiles in gaussian order; each tile then sorts
+//! its own list by depth, ties by gaussian order.
 
 use super::bounds::{BlockSet, TileGrid};
 use super::chunks::{CHUNK, Chunk, splat};
@@ -13,28 +12,27 @@ use super::real::Real;
 /// A gaussian's presence in a tile.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Entry {
-    /// The splat's number among all.
+    /// Global splat number, see [`splat`].
     pub splat: u32,
     pub blocks: BlockSet,
 }
 
-/// The lists of all tiles, one after the other: tile `t` has places `starts[t]..starts[t + 1]`.
+/// The concatenated lists of all tiles: tile `t` owns `starts[t]..starts[t + 1]`.
 #[derive(Debug, Default)]
 pub(super) struct TileLists<T: Real> {
     pub starts: Vec<usize>,
-    /// Depths and slots of the entries: a slot is a place in the order of the gaussians. In the
-    /// order of blending once each tile has sorted its own.
+    /// Depth and slot of each entry, in blending order once the tile has been sorted. A slot is an
+    /// entry's position before sorting, in gaussian order.
     pub order: Vec<T::SortKey>,
-    /// By slot.
+    /// Entries by slot.
     pub dealt: Vec<Entry>,
-    /// In the order of blending, each with the blocks where a pixel took it; written as each tile is
-    /// blended.
+    /// Entries in blending order; after blending, with only the blocks where a pixel took them.
     pub entries: Vec<Entry>,
     cursors: Vec<u32>,
 }
 
 impl<T: Real> TileLists<T> {
-    /// Fills `order` and `dealt`, and tells each chunk where its touches went.
+    /// Fills `order` and `dealt`, and each chunk's `slots`.
     pub fn deal(&mut self, grid: &TileGrid, chunks: &mut [Chunk<T>]) {
         self.starts.clear();
         self.starts.resize(grid.len() + 1, 0);
@@ -68,24 +66,17 @@ impl<T: Real> TileLists<T> {
     }
 }
 
-/// Entries of a tile that are loaded together before they are worked on.
-pub(super) const BATCH: usize = 32;
-
-/// Asks for the splats of up to `BATCH` entries, which will be loaded next.
+/// Prefetches the splats of entries.
 #[inline(always)]
 pub(super) fn prefetch_splats<T: Real>(entries: &[Entry], chunks: &[Chunk<T>]) {
-    for entry in entries.iter().take(BATCH) {
+    for entry in entries {
         prefetch(splat(chunks, entry.splat));
     }
 }
 
-/// Copies the splats of up to `BATCH` entries.
+/// Copies the splats of entries.
 #[inline(always)]
-pub(super) fn load_splats<T: Real>(
-    entries: &[Entry],
-    chunks: &[Chunk<T>],
-    batch: &mut [Splat<T>; BATCH],
-) {
+pub(super) fn load_splats<T: Real>(entries: &[Entry], chunks: &[Chunk<T>], batch: &mut [Splat<T>]) {
     for (entry, loaded) in entries.iter().zip(batch) {
         *loaded = *splat(chunks, entry.splat);
     }

@@ -1,9 +1,9 @@
-//! The separable 11-tap gaussian window of SSIM, on rows of interleaved channels.
+//! SSIM's separable 11-tap gaussian window, on rows of interleaved channels.
 //!
-//! Input: rows of floats, `CHANNELS` per pixel. Output: their weighted sums down a column or along
-//! a row. What lies outside the image counts as zero and the weights are not renormalised there,
-//! as in the SSIM that gaussian splatting trains with. The symmetric taps share their factor.
-//! The loops are written for the compiler to vectorise: no branch, slices of one length.
+//! Input: rows of floats, `CHANNELS` per pixel. Output: their weighted sums down the columns or
+//! along a row. Pixels outside the image are zero and the weights are not renormalised, as in the
+//! SSIM that gaussian splatting trains with. Loops have no branches and slices of equal length, so
+//! that they vectorise.
 
 use crate::kernel::mul_add;
 
@@ -15,10 +15,10 @@ pub const TAPS: usize = 2 * RADIUS + 1;
 const SIGMA_PX: f64 = 1.5;
 /// Interleaved floats per pixel.
 pub const CHANNELS: usize = 3;
-/// Zeros before and after a row that is blurred along itself.
+/// Zeros before and after a row for [`blur_along`].
 pub const PADDING: usize = RADIUS * CHANNELS;
 
-/// Weights of taps 0 ..= [`RADIUS`]; the rest mirror them. The eleven sum to 1.
+/// Weights of taps 0 ..= [`RADIUS`]; the others mirror them. All eleven sum to 1.
 pub fn window() -> [f32; RADIUS + 1] {
     let weight = |tap: usize| {
         let x = tap as f64 - RADIUS as f64;
@@ -47,7 +47,7 @@ pub fn blur_down<const FUSED: bool>(
     }
 }
 
-/// As [`blur_down`], for the rows and for their squares.
+/// [`blur_down`] of the rows and of their squares.
 #[inline(always)]
 pub fn blur_down_with_squares<const FUSED: bool>(
     weights: &[f32; RADIUS + 1],
@@ -73,7 +73,7 @@ pub fn blur_down_with_squares<const FUSED: bool>(
     }
 }
 
-/// Blurs along a row. `padded` holds [`PADDING`] zeros, the row and [`PADDING`] zeros.
+/// Blurs along a row. `padded` is the row between [`PADDING`] zeros on either side.
 #[inline(always)]
 pub fn blur_along<const FUSED: bool>(weights: &[f32; RADIUS + 1], padded: &[f32], out: &mut [f32]) {
     let n = out.len();

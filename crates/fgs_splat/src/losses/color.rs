@@ -1,30 +1,24 @@
 //! L1 and SSIM of the rendered colour.
 //!
 //! Input: rendered colour and the target. Output: both means over the valid pixels, and the
-//! derivative of their weighted sum. The image is cut into strips of rows that are worked on
-//! independently, each with the 10 rows above and below that its derivatives depend on, so that
-//! what lies between input and output stays in the cache and results do not depend on threads.
+//! derivative of their weighted sum. Strips of rows are processed independently, so that results
+//! do not depend on the number of threads. Each strip streams through its rows, plus the 10 above
+//! and below that its derivatives depend on; ring buffers of 11 rows hold what the windows need and
+//! stay in the cache.
 //!
-//! Where a pixel is not compared the target stands in for the render: the windows of SSIM around it
-//! see an image that is right there, and it neither counts nor receives a derivative. Where the
-//! camera did not see a colour the target is black, so that both images are what they are outside
-//! the image: zero.
+//! At a pixel that is not compared the render is replaced by the target: SSIM's windows see no
+//! error there, and the pixel neither counts nor gets a derivative. Where the camera saw no colour
+//! the target is black, so that both images are zero, as outside the image.
 
 use super::blur::{CHANNELS, RADIUS, TAPS};
-use super::{LossSettings, Target, l1, ssim::Ssim};
+use super::l1::{l1, sum_lanes};
+use super::{LossSettings, Target, ssim::Ssim};
 use crate::kernel::{Kernel, dispatch};
 use fgs_geom::{Image, has_depth};
 use rayon::prelude::*;
 
-/// Rows of a strip: the rows of overlap cost about an eighth of the time, and an image of 480 rows
-/// still occupies 10 threads.
-const STRIP_ROWS: usize = 48;
-/// Rows of the moments' derivatives that a strip needs.
-const MOMENT_ROWS: usize = STRIP_ROWS + 2 * RADIUS;
-/// Rows of the images that a strip needs.
-const IMAGE_ROWS: usize = STRIP_ROWS + 4 * RADIUS;
-/// Sums are kept in this many lanes, so that they vectorise and yet have a fixed order.
-const LANES: usize = 16;
+/// Rows per strip: the overlap costs about a fifth of the time, and 480 rows still make 8 tasks.
+const STRIP_ROWS: usize = 60;
 
 /// Means over valid pixels and channels, zero if there is none.
 #[derive(Default)]
@@ -99,14 +93,35 @@ impl Kernel for StripLoss<'_> {
 
     #[inline(always)]
     fn run<const FUSED: bool, const WIDTH: usize>(self) -> ColorLoss {
-        self.strip
-            .load(self.color, self.target, self.masked, self.first_row);
-        self.strip
-            .differentiate::<FUSED>(self.weights, self.d_color)
+        let own_rows = self.d_color.len() / self.strip.row_len;
+        let mut loss = ColorLoss::default();
+        // Rows count from the first that the strip's derivatives depend on.
+        for row in 0..own_rows + 4 * RADIUS {
+            let v = (self.first_row + row).wrapping_sub(2 * RADIUS);
+            self.strip
+                .load_row(row, v, self.color, self.target, self.masked);
+            let Some(moments_row) = row.checked_sub(2 * RADIUS) else {
+                continue;
+            };
+            let dissimilarity = self.strip.compare_row::<FUSED>(moments_row);
+            if (RADIUS..RADIUS + own_rows).contains(&moments_row) {
+                loss.dissimilarity += dissimilarity;
+            }
+            let Some(own_row) = moments_row.checked_sub(2 * RADIUS) else {
+                continue;
+            };
+            let n = self.strip.row_len;
+            let d_color = &mut self.d_color[own_row * n..][..n];
+            loss.l1 += self
+                .strip
+                .differentiate_row::<FUSED>(own_row, self.weights, d_color);
+        }
+        loss
     }
 }
 
-/// Buffers of one strip. Rows outside the image are zero and not valid.
+/// Rings of a strip's last [`TAPS`] rows: row `r` has place `r % TAPS`. Rows outside the image are
+/// zero and not valid.
 struct Strip {
     row_len: usize,
     /// `render - target` and `render + target`.
@@ -114,136 +129,129 @@ struct Strip {
     sum: Vec<f32>,
     /// 1 where the pixel counts, else 0.
     valid: Vec<f32>,
+    /// Row `r` is where the window's first row is `r`.
     d_moments: [Vec<f32>; 3],
+    /// One row.
     error: Vec<f32>,
     ssim: Ssim,
 }
 
 impl Strip {
     fn new(row_len: usize) -> Self {
-        let rows = |count: usize| vec![0.0; count * row_len];
+        let ring = || vec![0.0; TAPS * row_len];
         Self {
             row_len,
-            difference: rows(IMAGE_ROWS),
-            sum: rows(IMAGE_ROWS),
-            valid: rows(IMAGE_ROWS),
-            d_moments: std::array::from_fn(|_| rows(MOMENT_ROWS)),
-            error: rows(1),
+            difference: ring(),
+            sum: ring(),
+            valid: ring(),
+            d_moments: std::array::from_fn(|_| ring()),
+            error: vec![0.0; row_len],
             ssim: Ssim::new(row_len),
         }
     }
 
-    /// Fills the image rows for the strip that begins at row `first`.
+    /// Fills row `row` with row `v` of the images.
     #[inline(always)]
-    fn load(&mut self, color: &Image<[f32; 3]>, target: &Target, masked: bool, first: usize) {
+    fn load_row(
+        &mut self,
+        row: usize,
+        v: usize,
+        color: &Image<[f32; 3]>,
+        target: &Target,
+        masked: bool,
+    ) {
         let n = self.row_len;
-        for row in 0..IMAGE_ROWS {
-            let span = row * n..(row + 1) * n;
-            let difference = &mut self.difference[span.clone()];
-            let sum = &mut self.sum[span.clone()];
-            let valid = &mut self.valid[span];
-            let v = (first + row).wrapping_sub(2 * RADIUS);
-            if v >= color.height() {
-                difference.fill(0.0);
-                sum.fill(0.0);
-                valid.fill(0.0);
-                continue;
+        let difference = row_mut(&mut self.difference, n, row);
+        let sum = row_mut(&mut self.sum, n, row);
+        let valid = row_mut(&mut self.valid, n, row);
+        if v >= color.height() {
+            difference.fill(0.0);
+            sum.fill(0.0);
+            valid.fill(0.0);
+            return;
+        }
+        let pixels = valid.as_chunks_mut::<CHANNELS>().0;
+        if masked {
+            for (pixel, depth) in pixels.iter_mut().zip(target.depth_m.row(v)) {
+                *pixel = [f32::from(u8::from(has_depth(*depth))); CHANNELS];
             }
-            let pixels = valid.as_chunks_mut::<CHANNELS>().0;
-            if masked {
-                for (pixel, depth) in pixels.iter_mut().zip(target.depth_m.row(v)) {
-                    *pixel = [f32::from(u8::from(has_depth(*depth))); CHANNELS];
-                }
-            } else {
-                pixels.fill([1.0; CHANNELS]);
+        } else {
+            pixels.fill([1.0; CHANNELS]);
+        }
+        if let Some(seen) = &target.color_valid {
+            for (pixel, seen) in pixels.iter_mut().zip(seen.row(v)) {
+                *pixel = pixel.map(|valid| if *seen { valid } else { 0.0 });
             }
-            if let Some(seen) = &target.color_valid {
-                for (pixel, seen) in pixels.iter_mut().zip(seen.row(v)) {
-                    *pixel = pixel.map(|valid| if *seen { valid } else { 0.0 });
-                }
-            }
-            let rendered = &color.row(v).as_flattened()[..n];
-            let measured = &target.color.row(v).as_flattened()[..n];
-            for i in 0..n {
-                let measured = f32::from(measured[i]) / 255.0;
-                difference[i] = valid[i] * (rendered[i] - measured);
-                sum[i] = difference[i] + 2.0 * measured;
-            }
+        }
+        let rendered = &color.row(v).as_flattened()[..n];
+        let measured = &target.color.row(v).as_flattened()[..n];
+        for i in 0..n {
+            let measured = f32::from(measured[i]) / 255.0;
+            difference[i] = valid[i] * (rendered[i] - measured);
+            sum[i] = difference[i] + 2.0 * measured;
         }
     }
 
-    /// Sums of the two losses over the strip; their weighted derivatives go to `d_color`.
+    /// Fills row `first` of `d_moments` from the rows from there on. The sum of `1 - SSIM`.
     #[inline(always)]
-    fn differentiate<const FUSED: bool>(
+    fn compare_row<const FUSED: bool>(&mut self, first: usize) -> f64 {
+        let n = self.row_len;
+        let [by_mean, by_dd, by_ss] = &mut self.d_moments;
+        self.ssim.forward::<FUSED>(
+            window(&self.difference, n, first),
+            window(&self.sum, n, first),
+            row(&self.valid, n, first + RADIUS),
+            &mut self.error,
+            [
+                row_mut(by_mean, n, first),
+                row_mut(by_dd, n, first),
+                row_mut(by_ss, n, first),
+            ],
+        );
+        sum_lanes(&self.error)
+    }
+
+    /// The weighted derivatives of both losses by the row whose windows' moments begin at row
+    /// `first`. The sum of its absolute errors.
+    #[inline(always)]
+    fn differentiate_row<const FUSED: bool>(
         &mut self,
+        first: usize,
         weights: &Weights,
         d_color: &mut [f32],
-    ) -> ColorLoss {
+    ) -> f64 {
         let n = self.row_len;
-        let Self {
+        let center = first + 2 * RADIUS;
+        let difference = row(&self.difference, n, center);
+        let valid = row(&self.valid, n, center);
+        let [by_mean, by_dd, by_ss] = &self.d_moments;
+        self.ssim.backward::<FUSED>(
+            [by_mean, by_dd, by_ss].map(|rows| window(rows, n, first)),
             difference,
-            sum,
+            row(&self.sum, n, center),
             valid,
-            d_moments,
-            error,
-            ssim,
-            ..
-        } = self;
-        let own_rows = d_color.len() / n;
-        let mut loss = ColorLoss::default();
-        let [by_mean, by_dd, by_ss] = d_moments;
-        for row in 0..own_rows + 2 * RADIUS {
-            let moments = row * n..(row + 1) * n;
-            ssim.forward::<FUSED>(
-                window(difference, n, row),
-                window(sum, n, row),
-                &valid[(row + RADIUS) * n..][..n],
-                error,
-                [
-                    &mut by_mean[moments.clone()],
-                    &mut by_dd[moments.clone()],
-                    &mut by_ss[moments],
-                ],
-            );
-            if (RADIUS..RADIUS + own_rows).contains(&row) {
-                loss.dissimilarity += sum_lanes(error);
-            }
+            d_color,
+        );
+        for d in d_color.iter_mut() {
+            *d *= weights.ssim;
         }
-        for (row, d_color) in d_color.chunks_exact_mut(n).enumerate() {
-            let center = (row + 2 * RADIUS) * n..(row + 2 * RADIUS + 1) * n;
-            let difference = &difference[center.clone()];
-            let valid = &valid[center.clone()];
-            ssim.backward::<FUSED>(
-                [&*by_mean, &*by_dd, &*by_ss].map(|rows| window(rows, n, row)),
-                difference,
-                &sum[center],
-                valid,
-                d_color,
-            );
-            for d in d_color.iter_mut() {
-                *d *= weights.ssim;
-            }
-            l1::l1(difference, valid, weights.l1, error, d_color);
-            loss.l1 += sum_lanes(error);
-        }
-        loss
+        l1(difference, valid, weights.l1, &mut self.error, d_color);
+        sum_lanes(&self.error)
     }
+}
+
+#[inline(always)]
+fn row(ring: &[f32], n: usize, row: usize) -> &[f32] {
+    &ring[row % TAPS * n..][..n]
+}
+
+#[inline(always)]
+fn row_mut(ring: &mut [f32], n: usize, row: usize) -> &mut [f32] {
+    &mut ring[row % TAPS * n..][..n]
 }
 
 /// [`TAPS`] rows of length `n`, from row `first`.
 #[inline(always)]
-fn window(rows: &[f32], n: usize, first: usize) -> [&[f32]; TAPS] {
-    std::array::from_fn(|tap| &rows[(first + tap) * n..][..n])
-}
-
-#[inline(always)]
-fn sum_lanes(values: &[f32]) -> f64 {
-    let (blocks, rest) = values.as_chunks::<LANES>();
-    let mut lanes = [0.0f32; LANES];
-    for block in blocks {
-        for (lane, value) in lanes.iter_mut().zip(block) {
-            *lane += value;
-        }
-    }
-    lanes.iter().chain(rest).map(|x| f64::from(*x)).sum()
+fn window(ring: &[f32], n: usize, first: usize) -> [&[f32]; TAPS] {
+    std::array::from_fn(|tap| row(ring, n, first + tap))
 }

@@ -31,7 +31,7 @@ use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 use thiserror::Error;
 
-/// Weights and choices of the loss.
+/// Weights and options of the loss.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct LossSettings {
@@ -45,8 +45,8 @@ pub struct LossSettings {
     pub scale_weight: f32,
     /// Whether colour is compared only where depth was measured too, else wherever it is valid.
     pub mask_color_by_depth: bool,
-    /// Whether the rendered depth, a sum of `weight * z`, is divided by the rendered alpha before
-    /// it is compared.
+    /// Whether rendered depth, a sum of `weight * z`, is divided by rendered alpha before it is
+    /// compared.
     pub normalize_depth: bool,
 }
 
@@ -74,7 +74,7 @@ impl LossSettings {
     }
 }
 
-/// The measured images of a view. Colour stays in bytes: there is one target per keyframe.
+/// The measured images of a view. Colour is kept in bytes, since there is a target per keyframe.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Target {
     color: Image<[u8; 3]>,
@@ -105,8 +105,8 @@ impl Target {
         })
     }
 
-    /// The same target with a mask of the colours to be compared. The others become black, which
-    /// is what lies outside the image for SSIM.
+    /// Restricts the comparison to pixels with valid colour. The others become black, which to SSIM
+    /// is outside the image.
     ///
     /// # Errors
     /// If the mask's size differs.
@@ -181,7 +181,7 @@ pub struct ImageLoss {
     pub depth: f64,
 }
 
-/// Why there is no loss.
+/// Why the loss could not be computed.
 #[derive(Debug, Error, PartialEq)]
 #[non_exhaustive]
 pub enum LossError {
@@ -215,13 +215,13 @@ pub enum LossError {
     },
 }
 
-/// Rendered values beyond this cannot come from a sane map (colours are about 0..1, depths below
-/// 1e3 m), and below it no square or product in the loss overflows.
+/// Limit of rendered values: a sane map stays far below (colours about 0..1, depths under 1e3 m),
+/// and no square or product in the loss overflows.
 pub(crate) const MAX_RENDERED: f32 = 1e4;
 
-/// Compares a render with its target, Eq. (16) without the regulariser, and writes the derivatives
-/// of its total to `cotangents`, whatever they were: those by alpha are zero unless depth is
-/// normalised. An image without a pixel to compare has no loss and no derivatives.
+/// The loss of a render against its target, Eq. (16) without the regulariser. Overwrites
+/// `cotangents` with the derivatives of its total; those by alpha are zero unless depth is
+/// normalised. With no pixel to compare, loss and derivatives are zero.
 ///
 /// # Errors
 /// If an image's size is not the target's, or a rendered value is not finite or above 1e4.
@@ -280,7 +280,7 @@ fn check_size<T>(
     })
 }
 
-/// Values checked together, whatever the number of threads.
+/// Values per task, for any number of threads.
 const RANGE_CHUNK: usize = 64 * 1024;
 
 fn check_range(

@@ -4,8 +4,8 @@
 //! are valid. Output: `1 - SSIM` at a row, and the derivative of the valid pixels' sum by `x`.
 //! With `m` a windowed mean and `var` a windowed variance,
 //! `SSIM = (1 - m_d^2 / B1) (1 - var_d / B2)`, `B1 = (m_d^2 + m_s^2) / 2 + C1`,
-//! `B2 = (var_d + var_s) / 2 + C2`: the textbook formula in other variables, chosen because it
-//! needs four windowed maps in place of five and loses no digits where the images agree.
+//! `B2 = (var_d + var_s) / 2 + C2`: the textbook formula in other variables. It needs four windowed
+//! maps instead of five, and nothing cancels where the images agree.
 
 use super::blur::{self, PADDING, RADIUS, TAPS};
 
@@ -34,8 +34,7 @@ impl Ssim {
         }
     }
 
-    /// `valid * (1 - SSIM)` of the row in the middle of `d` and `s`, and its derivatives by the
-    /// moments.
+    /// `valid * (1 - SSIM)` of the middle row of `d` and `s`, and its derivatives by the moments.
     #[inline(always)]
     pub fn forward<const FUSED: bool>(
         &mut self,

@@ -6,7 +6,9 @@ use fgs_geom::View;
 
 use crate::Gaussians;
 use crate::cpu::Rasterizer;
-use crate::cpu::bounds::{BLOCK, BLOCKS, TILE_COLUMNS, TILE_HEIGHT, TILE_WIDTH};
+use crate::cpu::bounds::{
+    BLOCK_HEIGHT, BLOCK_WIDTH, BLOCKS, TILE_COLUMNS, TILE_HEIGHT, TILE_WIDTH,
+};
 use crate::cpu::chunks::CHUNK;
 use crate::cpu::project::SPLAT;
 
@@ -37,8 +39,8 @@ pub fn tiles(gaussians: &Gaussians, view: &View, side: usize) -> [BTreeSet<(usiz
             let tile = lists.starts.partition_point(|start| *start <= at) - 1;
             let (left, top) = (tile % columns * TILE_WIDTH, tile / columns * TILE_HEIGHT);
             for block in (0..BLOCKS).filter(|block| entry.blocks >> block & 1 == 1) {
-                let column = (left + block % TILE_COLUMNS * BLOCK) / side;
-                let row = (top + block / TILE_COLUMNS * BLOCK) / side;
+                let column = (left + block % TILE_COLUMNS * BLOCK_WIDTH) / side;
+                let row = (top + block / TILE_COLUMNS * BLOCK_HEIGHT) / side;
                 pairs.insert((row * view.camera.width.div_ceil(side) + column, gaussian));
             }
         }
