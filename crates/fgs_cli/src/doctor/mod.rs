@@ -6,6 +6,7 @@
 
 mod color_misfit;
 mod depth_scale;
+mod depth_sensor;
 mod depth_to_color;
 mod exposure;
 mod files;
@@ -17,6 +18,7 @@ mod pose_convention;
 mod poses;
 mod report;
 mod self_calibration;
+mod sensor_motions;
 mod statistics;
 mod survey;
 #[cfg(test)]
@@ -117,6 +119,11 @@ fn examine(dataset: &Dataset, progress: impl FnMut()) -> Report {
         edges,
         neighbors::check(&survey.pairs.lost, survey.depth_shares.len()),
         intrinsics,
+        depth_sensor::check(
+            &survey.sensors,
+            dataset.camera_file().depth_sensor(),
+            dataset.camera(),
+        ),
     ];
     let mut motion_fit = None;
     if let Some(truth) = dataset.ground_truth() {
