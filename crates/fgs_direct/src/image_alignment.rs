@@ -13,12 +13,19 @@ use crate::{IntensityImage, IntensityPyramid};
 type Vector8 = SVector<f64, 8>;
 type Matrix8 = SMatrix<f64, 8, 8>;
 
-/// Steps per resolution; each leaves a tenth of the error or less.
-const MAX_ITERATIONS: usize = 30;
+/// Steps at the finest resolution. Noise adds to the gradients' squares, so steps are too short; most
+/// images take 5 to 20.
+const MAX_ITERATIONS: usize = 60;
 
-/// Converged when no point moves by more than about a hundredth of a pixel: rad, and metres a metre
-/// away.
-const MAX_LAST_STEP: f64 = 5e-5;
+/// Steps at each of the others, which only provide a start.
+const MAX_COARSE_ITERATIONS: usize = 8;
+
+/// Converged when a step turns by less, rad, ...
+const MAX_LAST_TURN: f64 = 1e-4;
+
+/// ... and moves by less, metres. Smaller steps may go to and fro for ever: brightness between pixels
+/// has kinks.
+const MAX_LAST_SHIFT: f64 = 3e-4;
 
 /// Fewer points than this do not determine motion, gain and offset.
 const MIN_POINTS: usize = 50;
@@ -70,7 +77,12 @@ pub fn align_images(
         offset: 0.0,
     };
     let mut last = None;
-    for (first, second) in first.levels.iter().zip(&second.levels).rev() {
+    let levels = first.levels.iter().zip(&second.levels);
+    for (level, (first, second)) in levels.enumerate().rev() {
+        let max_iterations = match level {
+            0 => MAX_ITERATIONS,
+            _ => MAX_COARSE_ITERATIONS,
+        };
         let seen: Vec<(Vector3<f64>, f64)> = points
             .iter()
             .filter_map(|point| {
@@ -80,7 +92,7 @@ pub fn align_images(
             })
             .collect();
         last = None;
-        for _ in 0..MAX_ITERATIONS {
+        for _ in 0..max_iterations {
             let equations = linearize(&seen, second, &state)?;
             let step = -equations.hessian.cholesky()?.solve(&equations.gradient);
             if !step.iter().all(|value| value.is_finite()) {
@@ -91,7 +103,8 @@ pub fn align_images(
                 (Se3::exp(&motion) * state.second_from_first).renormalized();
             state.gain += step[6];
             state.offset += step[7];
-            if motion.amax() <= MAX_LAST_STEP {
+            let (turn, shift) = (motion.fixed_rows::<3>(0), motion.fixed_rows::<3>(3));
+            if turn.amax() <= MAX_LAST_TURN && shift.amax() <= MAX_LAST_SHIFT {
                 last = Some(equations);
                 break;
             }

@@ -14,11 +14,11 @@ use nalgebra::{Matrix4, Matrix6, SMatrix, Vector3, Vector4, Vector6};
 
 type Matrix6x4 = SMatrix<f64, 6, 4>;
 
-/// Gauss-Newton's steps; three to five are usual.
-const MAX_ITERATIONS: usize = 30;
+/// Gauss-Newton's steps; five are usual, and some dozens where a few motions could be outliers.
+const MAX_ITERATIONS: usize = 100;
 
 /// Converged when delay (s) and angles (rad) change by less.
-const MAX_LAST_STEP: f64 = 1e-7;
+const MAX_LAST_STEP: f64 = 1e-6;
 
 /// Degrees of freedom of Student's distribution. With fewer, the fastest motions, which say most
 /// about the delay but are measured worst, are taken for outliers.
