@@ -99,8 +99,7 @@ pub fn align_images(
                 return None;
             }
             let motion: Vector6<f64> = step.fixed_rows::<6>(0).into_owned();
-            state.second_from_first =
-                (Se3::exp(&motion) * state.second_from_first).renormalized();
+            state.second_from_first = (Se3::exp(&motion) * state.second_from_first).renormalized();
             state.gain += step[6];
             state.offset += step[7];
             let (turn, shift) = (motion.fixed_rows::<3>(0), motion.fixed_rows::<3>(3));
@@ -137,7 +136,14 @@ fn row(
     let by_point = Vector3::new(gx, gy, -(gx * y.x + gy * y.y) / y.z);
     let turn = y.cross(&by_point);
     let jacobian = Vector8::from([
-        turn.x, turn.y, turn.z, by_point.x, by_point.y, by_point.z, -brightness, -1.0,
+        turn.x,
+        turn.y,
+        turn.z,
+        by_point.x,
+        by_point.y,
+        by_point.z,
+        -brightness,
+        -1.0,
     ]);
     Some((value - state.gain * brightness - state.offset, jacobian))
 }
@@ -173,3 +179,7 @@ fn linearize(
         noise,
     })
 }
+
+#[cfg(test)]
+#[path = "image_alignment_tests.rs"]
+mod tests;

@@ -4,10 +4,10 @@
 //! the differences of brightness, and the image's gradients, say how the pose must change. Usable
 //! alone, beside any source of depth.
 
+mod depth_delay;
 mod image_alignment;
 mod intensity;
-mod sensor_calibration;
 
+pub use depth_delay::{DepthDelay, SensorMotion, depth_delay};
 pub use image_alignment::{ImageAlignment, align_images};
 pub use intensity::{IntensityImage, IntensityPyramid};
-pub use sensor_calibration::{SensorCalibration, SensorMotion, calibrate};

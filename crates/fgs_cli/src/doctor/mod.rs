@@ -5,8 +5,8 @@
 //! the survey has collected into one line of the [`report`].
 
 mod color_misfit;
+mod depth_delay;
 mod depth_scale;
-mod depth_sensor;
 mod depth_to_color;
 mod exposure;
 mod files;
@@ -119,11 +119,7 @@ fn examine(dataset: &Dataset, progress: impl FnMut()) -> Report {
         edges,
         neighbors::check(&survey.pairs.lost, survey.depth_shares.len()),
         intrinsics,
-        depth_sensor::check(
-            &survey.sensors,
-            dataset.camera_file().depth_sensor(),
-            dataset.camera(),
-        ),
+        depth_delay::check(&survey.sensors, dataset.camera_file().depth_sensor()),
     ];
     let mut motion_fit = None;
     if let Some(truth) = dataset.ground_truth() {

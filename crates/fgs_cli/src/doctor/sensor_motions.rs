@@ -194,7 +194,9 @@ impl Seen {
     fn colored(&self, pass: impl Fn(&Vector3<f64>) -> bool) -> Vec<Vector3<f64>> {
         let color_from_depth = self.sensor.color_from_depth;
         let passing = self.textured.iter().filter(|point| pass(point));
-        passing.map(|point| color_from_depth.transform(point)).collect()
+        passing
+            .map(|point| color_from_depth.transform(point))
+            .collect()
     }
 
     /// How fast the image of something at the median depth moves at the image's centre.
@@ -228,7 +230,10 @@ fn motion(first: &Seen, second: &Seen, camera: &Camera) -> Option<SensorMotion> 
     let depth_second_from_first = registered.target_from_source.inverse();
     let is_seen = |point: &Vector3<f64>| {
         let moved = depth_second_from_first.transform(point);
-        let Some(pixel) = camera.project(&moved).filter(|pixel| camera.contains(pixel)) else {
+        let Some(pixel) = camera
+            .project(&moved)
+            .filter(|pixel| camera.contains(pixel))
+        else {
             return false;
         };
         let (u, v) = (pixel.x.round() as usize, pixel.y.round() as usize);
@@ -283,4 +288,54 @@ fn textured(
         }
     }
     points
+}
+
+#[cfg(test)]
+mod tests {
+    use fgs_direct::depth_delay;
+
+    use super::*;
+    use crate::doctor::test_room;
+
+    const FRAMES: usize = 60;
+
+    /// A recording of the room with the colour camera on a path, and the depth sensor beside it.
+    fn watch(path: impl Fn(f64) -> Se3, sensor: &DepthSensor) -> SensorWatch {
+        let mut watch = SensorWatch::new(test_room::camera(), FRAMES);
+        for i in 0..FRAMES {
+            let t = i as f64 / 30.0;
+            let world_from_depth = path(t + sensor.delay_secs) * sensor.color_from_depth;
+            let mut frame = test_room::frame_of_sensors(i, &path(t), &world_from_depth);
+            frame.depth_sensor.color_from_depth = sensor.color_from_depth;
+            watch.add(&frame);
+        }
+        watch
+    }
+
+    #[test]
+    fn the_delay_of_a_depth_sensor_is_measured() {
+        let beside = Se3::exp(&Vector6::new(0.01, -0.02, 0.01, 0.02, 0.0, 0.0));
+        for (delay_secs, color_from_depth) in [
+            (-0.012, Se3::identity()),
+            (0.0, Se3::identity()),
+            (0.02, beside),
+        ] {
+            let truth = DepthSensor {
+                delay_secs,
+                color_from_depth,
+            };
+            let watch = watch(test_room::world_from_camera_at, &truth);
+            let given = DepthSensor {
+                delay_secs: 0.0,
+                ..truth
+            };
+            let found = depth_delay(&watch.motions, &given).unwrap();
+            eprintln!(
+                "{found:?} {} {:?}",
+                watch.motions.len(),
+                median(watch.speeds_px.clone())
+            );
+            assert!((found.delay_secs - delay_secs).abs() <= 1e-3, "{found:?}");
+        }
+    }
 }

@@ -267,7 +267,7 @@ fn faults() -> Vec<Fault> {
                     r.frames[i].depth_m = r.frames[i + 1].depth_m.clone();
                 }
             },
-            "depth sensor",
+            "depth delay",
             Warn,
             "depth_delay_secs = 0.03",
         ),
