@@ -335,7 +335,41 @@ mod tests {
                 watch.motions.len(),
                 median(watch.speeds_px.clone())
             );
-            assert!((found.delay_secs - delay_secs).abs() <= 1e-3, "{found:?}");
+            assert!((found.delay_secs - delay_secs).abs() <= 5e-4, "{found:?}");
         }
+    }
+
+    #[test]
+    fn a_camera_at_rest_and_one_that_does_not_turn() {
+        let late = DepthSensor {
+            delay_secs: -0.012,
+            ..DepthSensor::default()
+        };
+        let rest = watch(|_| Se3::identity(), &late);
+        assert!(depth_delay(&rest.motions, &DepthSensor::default()).is_none());
+        assert!(rest.speeds_px.iter().all(|speed| *speed <= 0.1));
+        let shake = |t: f64| {
+            let (x, y) = (0.1 * (5.0 * t).sin(), 0.08 * (4.0 * t).cos());
+            Se3::exp(&Vector6::new(0.0, 0.0, 0.0, x, y, 0.0))
+        };
+        let shaken = watch(shake, &late);
+        let found = depth_delay(&shaken.motions, &DepthSensor::default()).unwrap();
+        assert!((found.delay_secs + 0.012).abs() <= 1e-3, "{found:?}");
+        // 180 px * 0.4 m/s / 2 m.
+        let speed = median(shaken.speeds_px).unwrap();
+        assert!((20.0..50.0).contains(&speed), "{speed}");
+    }
+
+    #[test]
+    fn no_motion_is_measured_across_an_interruption() {
+        let mut watch = SensorWatch::new(test_room::camera(), FRAMES);
+        for i in 0..40 {
+            if i == 20 {
+                watch.interrupt();
+            }
+            watch.add(&test_room::frame(i));
+        }
+        // Twice, those that end at the frames 8 to 17 of 20.
+        assert_eq!(watch.motions.len(), 20);
     }
 }
