@@ -84,6 +84,10 @@ fn standard_errors_tell_the_error() {
     assert!(expected.contains(&noisy.standard_error_secs), "{noisy:?}");
     let error = (noisy.delay_secs - exact.delay_secs).abs();
     assert!(error <= 3.0 * noisy.standard_error_secs, "{error}");
+    // Too few for thirds.
+    let few = depth_delay(&motions(&walk, &truth, 0.002)[..40], &given).unwrap();
+    assert!(few.thirds_secs.is_none());
+    assert!((3e-4..2e-3).contains(&few.standard_error_secs), "{few:?}");
     assert!(exact.standard_error_secs <= 0.5 * noisy.standard_error_secs);
 }
 
@@ -101,8 +105,9 @@ fn a_delay_that_drifts_has_a_large_standard_error() {
 #[test]
 fn outliers_do_not_matter() {
     let mut motions = motions(&walk, &sensor(-0.012, [0.0; 6]), 0.0005);
+    // These alone would say 0.1 s.
     for motion in motions.iter_mut().step_by(10) {
-        let slip = Se3::exp(&Vector6::new(0.05, 0.0, 0.02, 0.1, 0.0, 0.0));
+        let slip = Se3::exp(&(-0.1 * (motion.velocities[1] - motion.velocities[0])));
         motion.depth_second_from_first = slip * motion.depth_second_from_first;
     }
     let found = depth_delay(&motions, &DepthSensor::default()).unwrap();

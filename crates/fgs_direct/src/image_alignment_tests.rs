@@ -72,9 +72,14 @@ fn wrong_points_do_not_matter() {
         .iter_mut()
         .step_by(10)
         .for_each(|point| point.z *= 0.7);
+    points
+        .iter_mut()
+        .skip(10)
+        .step_by(20)
+        .for_each(|point| point.z *= 1.5);
     let found = align_images(&first, &second, &points, &Se3::identity()).unwrap();
     let error = (found.second_from_first * motion()).log();
-    // They err all in one direction: a few tenths of a pixel are left.
+    // A few tenths of a pixel.
     assert!(error.amax() <= 2.5e-3, "{error}");
 }
 
@@ -85,7 +90,9 @@ fn pictures_that_tell_nothing() {
     let start = Se3::identity();
     assert!(align_images(&first, &dark, &points, &start).is_none());
     assert!(align_images(&dark, &first, &points, &start).is_none());
-    assert!(align_images(&first, &first, &points[..MIN_POINTS - 1], &start).is_none());
+    let few: Vec<_> = points.iter().step_by(12).copied().collect();
+    assert!(align_images(&first, &first, &few, &start).is_some());
+    assert!(align_images(&first, &first, &few[..MIN_POINTS - 1], &start).is_none());
     let away = Se3::exp(&Vector6::new(0.0, 3.0, 0.0, 0.0, 0.0, 0.0));
     assert!(align_images(&first, &first, &points, &away).is_none());
     let nan = vec![Vector3::repeat(f64::NAN); 100];
