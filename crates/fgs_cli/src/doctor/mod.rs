@@ -47,8 +47,8 @@ use survey::Survey;
 /// Examine a recording before running it
 ///
 /// Lists what the recording holds and checks for common problems: gaps, missing depth, jumps in
-/// exposure, a wrong depth scale or wrong intrinsics, depth that is not registered to colour, poses in
-/// another convention. Says what to change.
+/// exposure, a wrong depth scale or wrong intrinsics, depth that is not registered to colour or taken at
+/// another time, poses in another convention. Says what to change.
 #[derive(Debug, Args)]
 #[command(after_long_help = "\
 Examples:

@@ -314,7 +314,7 @@ mod tests {
 
     #[test]
     fn the_delay_of_a_depth_sensor_is_measured() {
-        let beside = Se3::exp(&Vector6::new(0.01, -0.02, 0.01, 0.02, 0.0, 0.0));
+        let beside = Se3::exp(&Vector6::new(0.04, -0.08, 0.03, 0.1, 0.0, 0.0));
         for (delay_secs, color_from_depth) in [
             (-0.012, Se3::identity()),
             (0.0, Se3::identity()),
