@@ -17,7 +17,7 @@ const MIN_SHIFT_PX: f64 = 0.5;
 const MIN_SIGNIFICANCE: f64 = 4.0;
 
 /// If a standard error shifts the colours by more, pixels, the recording does not show the delay.
-const MAX_ERROR_PX: f64 = 0.5;
+const MAX_ERROR_PX: f64 = 1.0;
 
 /// Where the image moves by less in a second, what looks like motion may be its measurement's error.
 const MIN_SPEED_PX: f64 = 20.0;
