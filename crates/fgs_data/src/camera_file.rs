@@ -26,8 +26,8 @@ const MAX_PIXELS: usize = 100_000_000;
 /// Keys: `width`, `height` (pixels), `fx`, `fy`, `cx`, `cy` (pixels, pixel centres at integer
 /// coordinates), `depth_scale` (raw depth value of 1 m) and, for distorted images,
 /// `distortion = [k1, k2, p1, p2, k3]`; where depth is not quite where and when colour is,
-/// `depth_delay_secs` and `color_from_depth = [tx, ty, tz, qx, qy, qz, qw]` (metres), see
-/// [`DepthSensor`]. Unknown keys are rejected.
+/// `depth_delay_secs` (`fgs doctor` measures it) and `color_from_depth = [tx, ty, tz, qx, qy, qz, qw]`
+/// (metres), see [`DepthSensor`]. Unknown keys are rejected.
 #[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
 #[serde(try_from = "Keys", into = "Keys")]
 pub struct CameraFile {

@@ -4,14 +4,20 @@
 //! the differences of brightness, and the image's gradients, say how the pose must change. Usable
 //! alone, beside any source of depth.
 
-mod align;
+mod depth_delay;
+mod image_alignment;
 mod intensity;
+mod keyframe_alignment;
 mod reference;
 mod residual;
 #[cfg(test)]
 #[allow(clippy::unwrap_used)]
 mod test_scene;
 
-pub use align::{PhotometricAlignment, PosePrior, PosedReference, align};
+pub use depth_delay::{DepthDelay, SensorMotion, depth_delay};
+pub use image_alignment::{ImageAlignment, align_images};
 pub use intensity::{IntensityImage, IntensityPyramid};
+pub use keyframe_alignment::{
+    PhotometricAlignment, PosePrior, PosedReference, align_with_keyframes,
+};
 pub use reference::{Reference, ReferencePoint};

@@ -4,7 +4,8 @@
 use std::collections::VecDeque;
 
 use fgs_direct::{
-    IntensityPyramid, PhotometricAlignment, PosePrior, PosedReference, Reference, align,
+    IntensityPyramid, PhotometricAlignment, PosePrior, PosedReference, Reference,
+    align_with_keyframes,
 };
 use fgs_geom::{KeyframeId, RgbdFrame, Se3};
 
@@ -53,7 +54,7 @@ impl ColorAligner {
                 world_from_reference: keyframe.world_from_camera,
             })
             .collect();
-        align(pyramid, &references, prior, FINEST)
+        align_with_keyframes(pyramid, &references, prior, FINEST)
     }
 
     /// The newest keyframe, and the oldest of which enough is in view: the one is most alike, the

@@ -51,6 +51,6 @@ pub fn align_with_map(
         world_from_camera,
         information,
     };
-    let aligned = align(&pyramid, &[posed], &prior, 0);
+    let aligned = align_with_keyframes(&pyramid, &[posed], &prior, 0);
     Ok(aligned.map(|aligned| aligned.world_from_camera))
 }

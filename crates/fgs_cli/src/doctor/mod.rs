@@ -5,6 +5,7 @@
 //! the survey has collected into one line of the [`report`].
 
 mod color_misfit;
+mod depth_delay;
 mod depth_scale;
 mod depth_to_color;
 mod exposure;
@@ -17,6 +18,7 @@ mod pose_convention;
 mod poses;
 mod report;
 mod self_calibration;
+mod sensor_motions;
 mod statistics;
 mod survey;
 #[cfg(test)]
@@ -45,8 +47,8 @@ use survey::Survey;
 /// Examine a recording before running it
 ///
 /// Lists what the recording holds and checks for common problems: gaps, missing depth, jumps in
-/// exposure, a wrong depth scale or wrong intrinsics, depth that is not registered to colour, poses in
-/// another convention. Says what to change.
+/// exposure, a wrong depth scale or wrong intrinsics, depth that is not registered to colour or taken at
+/// another time, poses in another convention. Says what to change.
 #[derive(Debug, Args)]
 #[command(after_long_help = "\
 Examples:
@@ -117,6 +119,7 @@ fn examine(dataset: &Dataset, progress: impl FnMut()) -> Report {
         edges,
         neighbors::check(&survey.pairs.lost, survey.depth_shares.len()),
         intrinsics,
+        depth_delay::check(&survey.sensors, dataset.camera_file().depth_sensor()),
     ];
     let mut motion_fit = None;
     if let Some(truth) = dataset.ground_truth() {

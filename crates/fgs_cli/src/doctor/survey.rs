@@ -8,6 +8,7 @@ use fgs_geom::{FrameIndex, RgbdFrame};
 use super::depth_to_color::EdgeMatcher;
 use super::exposure::ExposureWatch;
 use super::frame_pairs::PairBuilder;
+use super::sensor_motions::SensorWatch;
 use super::statistics::{depth_share, median_depth};
 use super::timing;
 
@@ -34,6 +35,8 @@ pub struct Survey {
     pub edges: EdgeMatcher,
     /// Registered motions.
     pub pairs: PairBuilder,
+    /// Motions of depth sensor and colour camera.
+    pub sensors: SensorWatch,
 }
 
 impl Survey {
@@ -46,6 +49,7 @@ impl Survey {
             exposure: ExposureWatch::default(),
             edges: EdgeMatcher::default(),
             pairs: PairBuilder::new(*dataset.camera()),
+            sensors: SensorWatch::new(*dataset.camera(), frames_to_read(dataset.len())),
         };
         let times: Vec<f64> = dataset.timestamps().collect();
         let usual_secs = timing::usual_interval(&times).unwrap_or(f64::INFINITY);
@@ -88,11 +92,13 @@ impl Survey {
             .extend(median_depth(&frame.depth_m).map(f64::from));
         self.exposure.add(frame.index, &frame.color);
         self.pairs.add(frame);
+        self.sensors.add(frame);
     }
 
     fn interrupt(&mut self) {
         self.exposure.interrupt();
         self.pairs.interrupt();
+        self.sensors.interrupt();
     }
 }
 

@@ -23,7 +23,11 @@ pub fn camera() -> Camera {
 
 /// A hand-held walk that turns about all three axes, about 1 degree and 1 cm per frame.
 pub fn world_from_camera(index: usize) -> Se3 {
-    let t = index as f64 / 30.0;
+    world_from_camera_at(index as f64 / 30.0)
+}
+
+/// The same walk at a time in seconds.
+pub fn world_from_camera_at(t: f64) -> Se3 {
     Se3::exp(&Vector6::new(
         0.2 * (2.0 * t).sin(),
         0.3 * (1.7 * t).sin(),
@@ -36,9 +40,28 @@ pub fn world_from_camera(index: usize) -> Se3 {
 
 /// Frame `index` of the walk.
 pub fn frame(index: usize) -> RgbdFrame {
-    let camera = camera();
     let pose = world_from_camera(index);
-    let seen = Image::from_fn(camera.width, camera.height, |u, v| {
+    frame_of_sensors(index, &pose, &pose)
+}
+
+/// A frame whose colour and depth were measured from different poses.
+pub fn frame_of_sensors(index: usize, world_from_color: &Se3, world_from_depth: &Se3) -> RgbdFrame {
+    let color = see(world_from_color).map(|pixel| pixel.1);
+    let depth_m = see(world_from_depth).map(|pixel| pixel.0);
+    RgbdFrame::new(
+        FrameIndex(index),
+        index as f64 / 30.0,
+        color,
+        depth_m,
+        camera(),
+    )
+    .unwrap()
+}
+
+/// Depth and colour of every pixel.
+fn see(pose: &Se3) -> Image<(f32, [u8; 3])> {
+    let camera = camera();
+    Image::from_fn(camera.width, camera.height, |u, v| {
         let direction = pose.rotation * camera.ray(u as f64, v as f64);
         let hit = |[low, high]: &[[f64; 3]; 2]| meet(&pose.translation, &direction, low, high);
         let depth = BOXES
@@ -50,15 +73,7 @@ pub fn frame(index: usize) -> RgbdFrame {
         let pattern = (9.0 * p.x).sin() * (8.0 * p.y).sin() + (7.0 * p.z + 5.0 * p.x).sin();
         let brightness = [90.0, 160.0, 200.0][thing] + 20.0 * pattern;
         (depth as f32, [brightness as u8; 3])
-    });
-    RgbdFrame::new(
-        FrameIndex(index),
-        index as f64 / 30.0,
-        seen.map(|pixel| pixel.1),
-        seen.map(|pixel| pixel.0),
-        camera,
-    )
-    .unwrap()
+    })
 }
 
 /// The first face of a box that a ray meets, from outside or inside.

@@ -261,6 +261,17 @@ fn faults() -> Vec<Fault> {
             "stretched by -9 %",
         ),
         fault(
+            "depth a frame late",
+            |r| {
+                for i in 0..r.frames.len() - 1 {
+                    r.frames[i].depth_m = r.frames[i + 1].depth_m.clone();
+                }
+            },
+            "depth delay",
+            Warn,
+            "depth_delay_secs = 0.03",
+        ),
+        fault(
             "inverse poses",
             |r| {
                 let p: Vec<_> = r.poses().iter().map(Se3::inverse).collect();

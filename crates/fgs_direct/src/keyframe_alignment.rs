@@ -67,7 +67,7 @@ pub struct PosedReference<'a> {
 /// Aligns an image with keyframes, over the pyramid's levels from the coarsest to `finest`. Starts at
 /// the prior's pose. Levels where fewer than 50 points can be compared are left out; `None` if none
 /// is left.
-pub fn align(
+pub fn align_with_keyframes(
     image: &IntensityPyramid,
     references: &[PosedReference],
     prior: &PosePrior,
@@ -272,7 +272,7 @@ mod tests {
             reference: &reference,
             world_from_reference: Se3::identity(),
         };
-        align(&pyramid, &[posed], prior, 0).unwrap()
+        align_with_keyframes(&pyramid, &[posed], prior, 0).unwrap()
     }
 
     fn unknown() -> PosePrior {
@@ -355,7 +355,7 @@ mod tests {
             reference: &reference,
             world_from_reference: Se3::identity(),
         };
-        assert!(align(&pyramid, &[posed], &unknown(), 0).is_none());
-        assert!(align(&pyramid, &[], &unknown(), 0).is_none());
+        assert!(align_with_keyframes(&pyramid, &[posed], &unknown(), 0).is_none());
+        assert!(align_with_keyframes(&pyramid, &[], &unknown(), 0).is_none());
     }
 }
