@@ -3,7 +3,9 @@
 //!
 //! Differs from the paper, whose keyframes stay where tracking put them.
 
-use fgs_direct::{IntensityImage, IntensityPyramid, PosePrior, PosedReference, Reference, align};
+use fgs_direct::{
+    IntensityImage, IntensityPyramid, PosePrior, PosedReference, Reference, align_with_keyframes,
+};
 use fgs_geom::{Image, Se3, View};
 use fgs_splat::{GaussianModel, ModelError};
 
