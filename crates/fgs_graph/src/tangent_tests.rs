@@ -4,6 +4,8 @@ use fgs_geom::KeyframeId;
 use nalgebra::{DMatrix, Matrix4, SMatrix};
 use num_dual::Dual64;
 
+use fgs_geom::Se3;
+
 use super::*;
 use crate::{Edge, RobustKernel};
 

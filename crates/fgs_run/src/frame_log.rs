@@ -162,7 +162,8 @@ mod tests {
         assert_eq!(
             String::from_utf8(text).unwrap(),
             "index,timestamp_secs,status,keyframe,points,sparse_points,inliers,residual_m,\
-             conditioning,tracking_ms,psnr_valid_depth_db,psnr_db,psnr_paper_db,ssim,depth_l1_m\n"
+             conditioning,tracking_ms,psnr_valid_depth_db,psnr_db,psnr_paper_db,\
+             psnr_exposure_valid_depth_db,psnr_exposure_db,ssim,depth_l1_m\n"
         );
     }
 }

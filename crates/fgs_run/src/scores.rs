@@ -260,6 +260,8 @@ mod tests {
                     psnr_valid_depth_db: Some(db),
                     psnr_db: db + 1.0,
                     psnr_paper_db: db + 2.0,
+                    psnr_exposure_valid_depth_db: None,
+                    psnr_exposure_db: 21.0,
                     ssim: 0.5,
                 },
                 depth: None,

@@ -11,7 +11,7 @@ use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 
 const WALL_Z_M: f64 = 1.5;
-const FRAMES: usize = 300;
+const FRAMES: usize = 60;
 
 fn camera() -> Camera {
     let intrinsics = Intrinsics {
@@ -60,10 +60,12 @@ fn frame(index: usize) -> RgbdFrame {
     RgbdFrame::new(FrameIndex(index), seconds, color, depth_m, camera).unwrap()
 }
 
-/// Root mean square of the position's error, the first pose being right, metres.
+/// Root mean square of the position's error, the first pose being right, metres; infinite if a frame
+/// is lost.
 fn error_m(color: bool) -> f64 {
     let mut config = SlamConfig::default();
     config.tracking.color = color;
+    config.tracking.grid_stride_px = Some(2);
     config.mapping.iterations_per_frame = 0.1;
     let model = CpuModel::new(model_settings(&config.mapping));
     let mut slam = Slam::new(&camera(), &config, Execution::Lockstep, Box::new(model)).unwrap();
