@@ -33,6 +33,10 @@ const MIN_POINTS: usize = 50;
 const GAIN_SIGMA: f64 = 0.2;
 const OFFSET_SIGMA: f64 = 0.1;
 
+/// A pose that the prior holds for less likely than this contradicts it: the 99.9 % quantile of
+/// chi-squared with six degrees of freedom.
+const MAX_CONTRADICTION: f64 = 22.46;
+
 /// What is known of the pose from elsewhere.
 #[derive(Clone, Copy, Debug)]
 pub struct PosePrior {
@@ -65,8 +69,9 @@ pub struct PosedReference<'a> {
 }
 
 /// Aligns an image with keyframes, over the pyramid's levels from the coarsest to `finest`. Starts at
-/// the prior's pose. Levels where fewer than 50 points can be compared are left out; `None` if none
-/// is left.
+/// the prior's pose. Levels where fewer than 50 points can be compared are left out. `None` if none
+/// is left, and if brightness contradicts the prior: then one of the two is wrong, and far alignments
+/// are mostly false minima.
 pub fn align_with_keyframes(
     image: &IntensityPyramid,
     references: &[PosedReference],
@@ -117,7 +122,10 @@ pub fn align_with_keyframes(
             }
         }
     }
-    result
+    result.filter(|aligned: &PhotometricAlignment| {
+        let off = (prior.world_from_camera.inverse() * aligned.world_from_camera).log();
+        (off.transpose() * prior.information * off)[0] <= MAX_CONTRADICTION
+    })
 }
 
 struct Pair<'a> {
@@ -343,6 +351,28 @@ mod tests {
             "{}",
             normalized / 30.0
         );
+    }
+
+    #[test]
+    fn brightness_that_contradicts_the_prior_is_not_believed() {
+        let scene = Scene::new(7, true);
+        let keyframe = scene.frame(&Se3::identity(), 1.0, 0.0);
+        let pyramid = IntensityPyramid::of_frame(&keyframe, LEVELS);
+        let reference = Reference::new(&pyramid, &keyframe.depth_m);
+        let frame = IntensityPyramid::of_frame(&scene.frame(&offset(), 1.0, 0.0), LEVELS);
+        let aligned = |sigma: f64| {
+            let posed = PosedReference {
+                reference: &reference,
+                world_from_reference: Se3::identity(),
+            };
+            let prior = PosePrior {
+                information: Matrix6::identity() * sigma.powi(-2),
+                ..unknown()
+            };
+            align_with_keyframes(&frame, &[posed], &prior, 0)
+        };
+        // The offset has a norm of 0.034.
+        assert!(aligned(0.03).is_some() && aligned(0.004).is_none());
     }
 
     #[test]

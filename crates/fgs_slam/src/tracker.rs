@@ -21,7 +21,6 @@ use crate::keyframes::{Keyframe, KeyframeKind, KeyframePolicy, NewPoint};
 use crate::motion::MotionModel;
 use crate::sparse_map::SparseMap;
 use crate::surface::tracking_grid;
-use crate::weak_directions::remap;
 
 /// Fewer points with a surface say nothing about the camera.
 const MIN_POINTS: usize = 50;
@@ -30,10 +29,6 @@ const MIN_POINTS: usize = 50;
 /// last step costs little, and what it misses adds up along the way.
 const ROTATION_EPSILON_RAD: f64 = 1e-3;
 const TRANSLATION_EPSILON_M: f64 = 2e-4;
-
-/// A direction is held by geometry if it is held this many times better than by points whose normals
-/// say nothing of it.
-const MIN_HELD: f64 = 4.0;
 
 /// No depth camera measures a surface better than this at the distances of a room: a floor under
 /// the noise that a registration finds in its residuals.
@@ -210,18 +205,9 @@ impl Tracker {
         quality.inliers = alignment.inliers;
         quality.residual_m = alignment.rms_residual_m;
         quality.conditioning = alignment.conditioning.weakest;
-        self.is_trusted(&alignment).then(|| {
-            let (pose, information) = (
-                alignment.target_from_source,
-                alignment.information(SENSOR_NOISE_M),
-            );
-            // Across the surfaces alone, a pair holds this share of what it holds along its normal.
-            let weak = MIN_HELD * self.surface.disk_thickness;
-            let held = remap(&pose, &information, &predicted, weak);
-            Registered {
-                world_from_depth: held.pose,
-                information: Some(held.information),
-            }
+        self.is_trusted(&alignment).then(|| Registered {
+            world_from_depth: alignment.target_from_source,
+            information: Some(alignment.information(SENSOR_NOISE_M)),
         })
     }
 
