@@ -58,7 +58,7 @@ impl Builder {
         }
     }
 
-    /// A uniform random number in [`low`, `high`).
+    /// A uniform random number from `low` to `high`.
     pub fn between(&mut self, low: f64, high: f64) -> f64 {
         self.rng.random_range(low..high)
     }

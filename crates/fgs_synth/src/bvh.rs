@@ -44,8 +44,7 @@ impl Node {
             for i in 0..WIDTH {
                 let a = (self.low[axis][i] - origin[axis]) * inverse[axis];
                 let b = (self.high[axis][i] - origin[axis]) * inverse[axis];
-                // Plain comparisons are faster than f32::min and max, which also handle NaN. There is
-                // none here.
+                // Plain comparisons: f32::min and max spend time on NaN, which does not occur here.
                 let (near, far) = if a < b { (a, b) } else { (b, a) };
                 enter[i] = if near > enter[i] { near } else { enter[i] };
                 leave[i] = if far < leave[i] { far } else { leave[i] };

@@ -108,7 +108,7 @@ impl<'a> Tracer<'a> {
         Some(self.shade(&ray, &Hit { t, solid, face }))
     }
 
-    /// A row of samples one pixel apart, starting at [`left`, `v`].
+    /// A row of samples one pixel apart, starting at (`left`, `v`).
     fn row(&self, width: usize, [left, v]: [f64; 2]) -> Vec<Sample> {
         let mut likely = None;
         (0..width)
