@@ -1,4 +1,5 @@
-//! Puts solids into a room, piece by piece, in the axes of each piece of furniture.
+//! Assembles the solids and lamps of a room, each given in the local frame of its piece of
+//! furniture.
 
 use nalgebra::{Rotation3, Vector3};
 use rand::RngExt;
@@ -9,7 +10,7 @@ use crate::pattern::{Pattern, Rgb};
 use crate::room::Finish;
 use crate::shape::{Form, Solid};
 
-/// Where a piece of furniture stands: its axes are x to the side, y to the front and z up.
+/// The local frame of a piece of furniture: x to the right seen from behind, y to the front, z up.
 #[derive(Clone, Copy)]
 pub(crate) struct Place {
     origin: Vector3<f64>,
@@ -17,7 +18,7 @@ pub(crate) struct Place {
 }
 
 impl Place {
-    /// `yaw` (rad) turns x towards y.
+    /// A frame at `origin`, metres, turned about z by `yaw` (rad), which takes x towards y.
     pub fn new(origin: [f64; 3], yaw: f64) -> Self {
         Self {
             origin: origin.into(),
@@ -25,7 +26,7 @@ impl Place {
         }
     }
 
-    /// The place at (x, y, z) of this one, turned by a further `yaw`.
+    /// A child frame at `point` of this frame, turned about z by a further `yaw` (rad).
     pub fn at(&self, point: [f64; 3], yaw: f64) -> Self {
         let turn = Rotation3::from_axis_angle(&Vector3::z_axis(), yaw);
         Self {
@@ -39,7 +40,7 @@ impl Place {
     }
 }
 
-/// A room in the making.
+/// A room under construction.
 pub(crate) struct Builder {
     pub solids: Vec<Solid>,
     pub finishes: Vec<Finish>,
@@ -57,17 +58,17 @@ impl Builder {
         }
     }
 
-    /// A number between two others.
+    /// A uniform random number from `low` to `high`.
     pub fn between(&mut self, low: f64, high: f64) -> f64 {
         self.rng.random_range(low..high)
     }
 
-    /// One of several things.
+    /// A random element of `choices`.
     pub fn choose<T: Copy, const N: usize>(&mut self, choices: [T; N]) -> T {
         choices[self.rng.random_range(0..N)]
     }
 
-    /// A block between two corners.
+    /// An axis-aligned block (in the frame `at`) between two opposite corners.
     pub fn block(&mut self, at: Place, low: [f64; 3], high: [f64; 3], pattern: Pattern) {
         let middle = std::array::from_fn(|i| 0.5 * (low[i] + high[i]));
         let half = Vector3::from_fn(|i, _| 0.5 * (high[i] - low[i]));
@@ -81,7 +82,7 @@ impl Builder {
         );
     }
 
-    /// A block about a centre, turned by `turn` in the place's axes.
+    /// A block with this centre and these half extents, rotated by `turn` in the frame `at`.
     pub fn turned_block(
         &mut self,
         at: Place,
@@ -93,13 +94,14 @@ impl Builder {
         self.solid(at, Form::Block, half.into(), center, turn, pattern);
     }
 
-    /// An ellipsoid.
+    /// An ellipsoid with this centre and these semi-axes.
     pub fn ball(&mut self, at: Place, center: [f64; 3], half: [f64; 3], pattern: Pattern) {
         let turn = Rotation3::identity();
         self.solid(at, Form::Ball, half.into(), center, turn, pattern);
     }
 
-    /// An upright cone or cylinder on `foot` with these radii at its bottom and top.
+    /// An upright truncated cone or cylinder with these bottom and top radii. The point given is
+    /// the centre of its base.
     pub fn frustum(
         &mut self,
         at: Place,
@@ -115,7 +117,7 @@ impl Builder {
         self.solid(at, form, half, center, Rotation3::identity(), pattern);
     }
 
-    /// A lamp without a body.
+    /// An invisible light source.
     pub fn lamp(&mut self, at: Place, center: [f64; 3], half: [f64; 3], power: Rgb) {
         self.lamps.push(Lamp {
             center: at.to_world(center),
@@ -124,7 +126,7 @@ impl Builder {
         });
     }
 
-    /// Makes the last solid glow by `glow` times its albedo.
+    /// Makes the solid added last emit `glow` times its albedo.
     pub fn light_up_last(&mut self, glow: f32) {
         if let Some(finish) = self.finishes.last_mut() {
             finish.glow = glow;

@@ -1,21 +1,23 @@
-//! A tree of bounding boxes over solids: which ones a ray may meet, near ones first.
+//! A bounding volume hierarchy (BVH) over solids, traversed front to back.
 //!
-//! Four children a node, whose boxes are tested side by side in `f32`. Split by the surface-area
-//! heuristic, since a room holds both walls and teacups.
+//! Nodes have four children whose boxes are tested side by side in `f32`. The tree is built with
+//! the surface area heuristic, because a room holds both walls and teacups.
 
 use nalgebra::Vector3;
 
 use crate::shape::{Ray, Solid};
 
 const WIDTH: usize = 4;
-/// Boxes are this much larger, metres: `f32` rounding at 10 m is a hundredth of it.
+/// Boxes are padded by this much, metres, against `f32` rounding, which at 10 m is a hundredth of
+/// it.
 const MARGIN_M: f64 = 1e-4;
 
-/// Three entries a level: enough for trees 21 levels deep, and furniture makes about 8.
+/// Traversal stack size. Each level adds at most three entries, so this suffices for 21 levels;
+/// a furnished room has about 8.
 const STACK: usize = 64;
 
 type Bounds = [Vector3<f64>; 2];
-/// A solid's index and box.
+/// A solid's index and bounding box.
 type Item = (usize, Bounds);
 
 #[derive(Clone, Copy)]
@@ -24,8 +26,8 @@ enum Child {
     Node(u32),
 }
 
-/// Children with their boxes: lowest and highest corners by axis, then child. Boxes of missing
-/// children are never entered.
+/// A node's children and their boxes, as a structure of arrays: `low[axis][child]` and
+/// `high[axis][child]`. Unused slots hold boxes that no ray enters.
 struct Node {
     low: [[f32; WIDTH]; 3],
     high: [[f32; WIDTH]; 3],
@@ -33,7 +35,7 @@ struct Node {
 }
 
 impl Node {
-    /// Where a ray enters each child's box; infinity for those it misses.
+    /// Ray parameter at which the ray enters each child's box (slab test); infinity for a miss.
     #[inline]
     fn entries(&self, origin: &[f32; 3], inverse: &[f32; 3]) -> [f32; WIDTH] {
         let mut enter = [0.0_f32; WIDTH];
@@ -42,7 +44,7 @@ impl Node {
             for i in 0..WIDTH {
                 let a = (self.low[axis][i] - origin[axis]) * inverse[axis];
                 let b = (self.high[axis][i] - origin[axis]) * inverse[axis];
-                // Not f32::min and max, whose treatment of NaN costs time: there is none here.
+                // Plain comparisons: f32::min and max spend time on NaN, which does not occur here.
                 let (near, far) = if a < b { (a, b) } else { (b, a) };
                 enter[i] = if near > enter[i] { near } else { enter[i] };
                 leave[i] = if far < leave[i] { far } else { leave[i] };
@@ -60,7 +62,7 @@ impl Node {
     }
 }
 
-/// The tree. Node 0 is the root.
+/// The hierarchy. Node 0 is the root.
 pub(crate) struct Bvh {
     nodes: Vec<Node>,
 }
@@ -75,11 +77,12 @@ impl Bvh {
         Self { nodes }
     }
 
-    /// Calls `meet` with each solid whose box the ray enters before `limit` (in units of the ray's
-    /// direction). `meet` may lower the limit.
+    /// Calls `meet` for each solid whose box the ray enters before `limit` (a ray parameter, in
+    /// units of the ray's direction). `meet` may lower the limit to cull everything behind a hit.
     #[inline]
     pub fn visit(&self, ray: &Ray, limit: &mut f64, mut meet: impl FnMut(usize, &mut f64)) {
-        // Far beyond any room, and finite, so that 0 times it is not NaN.
+        // Stands for the reciprocal of 0: far beyond any room, yet finite, so that 0 times it is
+        // not NaN.
         const LARGEST: f64 = 1e15;
         let origin = [0, 1, 2].map(|axis| ray.origin[axis] as f32);
         let inverse =
@@ -102,7 +105,7 @@ impl Bvh {
             let first = len;
             for (child, entry) in node.children.iter().zip(node.entries(&origin, &inverse)) {
                 if f64::from(entry) < *limit {
-                    // The nearest goes on top.
+                    // Insertion sort that leaves the nearest child on top of the stack.
                     let mut place = len;
                     while place > first && stack[place - 1].1 < entry {
                         stack[place] = stack[place - 1];
@@ -116,7 +119,7 @@ impl Bvh {
     }
 }
 
-/// Appends the tree over `items` and returns its root.
+/// Appends the subtree over `items` to `nodes` and returns the index of its root.
 fn build(items: &mut [Item], nodes: &mut Vec<Node>) -> usize {
     let index = nodes.len();
     nodes.push(Node {
@@ -170,8 +173,8 @@ fn sort_along(items: &mut [Item], axis: usize) {
     items.sort_by(|a, b| center(&a.1).total_cmp(&center(&b.1)));
 }
 
-/// Two parts, neither empty, of two items or more, with the least sum of surface area times
-/// items.
+/// Splits two or more items into two non-empty parts of least cost by the surface area heuristic:
+/// the sum over both parts of surface area times item count.
 fn split(items: &mut [Item]) -> (&mut [Item], &mut [Item]) {
     let (mut least, mut best_axis, mut best_count) = (f64::INFINITY, 0, items.len() / 2);
     for axis in 0..3 {

@@ -1,4 +1,4 @@
-//! Small things: books, ornaments, paintings, plants and lamps. Lengths are metres.
+//! Small objects: books, ornaments, paintings, plants and lamps. Lengths are in metres.
 
 use nalgebra::{Rotation3, Vector3};
 use rand::RngExt;
@@ -6,20 +6,20 @@ use rand::RngExt;
 use crate::builder::{Builder, Place};
 use crate::pattern::{Pattern, Rgb, srgb};
 
-/// Colours of books.
+/// Colours of book spines, sRGB.
 const SPINES: [u32; 10] = [
     0x7a2e2e, 0x2e4a7a, 0x2f5d3a, 0xb08a3c, 0x46325c, 0x202428, 0xc9bfa6, 0x9a4a1f, 0x3d7d80,
     0xd0d4d8,
 ];
-/// Colours of things that are to be seen.
+/// Accent colours for objects that are meant to stand out, sRGB.
 pub(crate) const VIVID: [u32; 6] = [0xd1495b, 0xedae49, 0x2a9d8f, 0x3d6fa8, 0xe9e4d8, 0x7a4d8c];
 
-/// Paint of an sRGB colour.
+/// Plain paint of an sRGB colour.
 pub(crate) fn paint(hex: u32) -> Pattern {
     Pattern::Paint(srgb(hex))
 }
 
-/// A row of books from x = `from` to `to`, at most `room` high.
+/// A row of books from x = `from` to `to`, in a shelf with a clear height of `room`.
 pub(crate) fn books(b: &mut Builder, at: Place, [from, to]: [f64; 2], room: f64) {
     let mut x = from;
     loop {
@@ -30,7 +30,7 @@ pub(crate) fn books(b: &mut Builder, at: Place, [from, to]: [f64; 2], room: f64)
         let (high, deep) = (room * b.between(0.65, 0.95), b.between(0.15, 0.22));
         let pattern = Pattern::Spine(srgb(b.choose(SPINES)));
         if b.rng.random_bool(0.08) {
-            // A gap where a book leans.
+            // A leaning book takes more space.
             let lean = Rotation3::new(Vector3::new(0.0, 0.22, 0.0));
             let center = [x + 0.5 * thick + 0.05, 0.5 * deep + 0.03, 0.5 * high];
             b.turned_block(
@@ -48,7 +48,7 @@ pub(crate) fn books(b: &mut Builder, at: Place, [from, to]: [f64; 2], room: f64)
     }
 }
 
-/// A small thing to put on a table or shelf, within 0.12 m of (0, 0) and at most 0.3 m high.
+/// A random small object for a table or shelf, within 0.12 m of (0, 0) and at most 0.3 m high.
 pub(crate) fn ornament(b: &mut Builder, at: Place) {
     let vivid = paint(b.choose(VIVID));
     match b.rng.random_range(0..7) {
@@ -116,7 +116,7 @@ pub(crate) fn ornament(b: &mut Builder, at: Place) {
     }
 }
 
-/// A framed painting on the wall about x = 0 and z = 0: 0.04 deep.
+/// A framed painting on the wall, centred at x = 0 and z = 0: 0.04 deep.
 pub(crate) fn painting(b: &mut Builder, at: Place, [width, height]: [f64; 2]) {
     let (x, z) = (0.5 * width, 0.5 * height);
     let frame = Pattern::Wood(srgb(b.choose([0x3b2a1e, 0xa8895a, 0x22252a, 0xd8d2c4])));
@@ -133,7 +133,7 @@ pub(crate) fn painting(b: &mut Builder, at: Place, [width, height]: [f64; 2]) {
     b.block(at, [-x, 0.0, -z], [x, 0.02, z], picture);
 }
 
-/// A standing lamp, 1.6 high, within 0.22 of the origin.
+/// A floor lamp, 1.6 high, within 0.22 of the origin.
 pub(crate) fn floor_lamp(b: &mut Builder, at: Place) {
     b.frustum(at, [0.0; 3], 0.03, [0.15, 0.14], paint(0x2a2a2d));
     b.frustum(at, [0.0, 0.0, 0.03], 1.3, [0.014, 0.012], paint(0xb39b62));
@@ -153,7 +153,7 @@ pub(crate) fn floor_lamp(b: &mut Builder, at: Place) {
     );
 }
 
-/// A potted plant, up to 1.2 high and 0.5 wide about the origin.
+/// A potted plant centred at the origin, up to 1.2 high and 0.5 wide.
 pub(crate) fn plant(b: &mut Builder, at: Place) {
     let pot = b.choose([
         Pattern::Terrazzo(srgb(0xd8d2c6)),
@@ -164,7 +164,7 @@ pub(crate) fn plant(b: &mut Builder, at: Place) {
     b.frustum(at, [0.0, 0.0, 0.32], 0.01, [0.16, 0.16], paint(0x3a2a1c));
     let green = srgb(b.choose([0x3f6b35, 0x55803c, 0x2f5a44]));
     for i in 0..22 {
-        // Leaves spread by the golden angle, the lower ones wider.
+        // Successive leaves turn by the golden angle; the lower ones spread wider.
         let azimuth = 2.399_963 * f64::from(i);
         let lift = 0.35 + 0.95 * f64::from(i) / 22.0 + b.between(-0.1, 0.1);
         let length = b.between(0.16, 0.26);
@@ -177,7 +177,7 @@ pub(crate) fn plant(b: &mut Builder, at: Place) {
     }
 }
 
-/// A lamp that hangs from the ceiling at `height`.
+/// A pendant lamp that hangs from the ceiling at `height`.
 pub(crate) fn pendant(b: &mut Builder, at: Place, height: f64) {
     b.frustum(
         at,

@@ -1,5 +1,5 @@
-//! Pieces of furniture. Each stands with its back to y = 0 of its place, its left end (seen from
-//! behind) at x = 0, and its feet on z = 0. Lengths are metres.
+//! Pieces of furniture. Unless stated otherwise each stands in its local frame with its back at
+//! y = 0, its left end (seen from behind) at x = 0, and its feet at z = 0. Lengths are in metres.
 
 use std::f64::consts::PI;
 
@@ -9,15 +9,15 @@ use crate::builder::{Builder, Place};
 use crate::decor::{VIVID, books, ornament, paint};
 use crate::pattern::{Pattern, Rgb, srgb};
 
-/// Clear width and height of a doorway, and how far its frame reaches from its middle.
+/// Clear width and height of a doorway, and the outer half width of its frame.
 pub(crate) const DOORWAY_WIDTH_M: f64 = 1.0;
 pub(crate) const DOORWAY_HEIGHT_M: f64 = 2.1;
 pub(crate) const DOORWAY_REACH_M: f64 = 0.58;
 
-/// Colours of upholstery.
+/// Upholstery colours, sRGB.
 const CLOTHS: [u32; 6] = [0x5a6f86, 0x8c4a3c, 0x6d7a52, 0xb59a6a, 0x4a4a56, 0xa9a49a];
 
-/// Shelves full of books and ornaments: 0.32 deep.
+/// A bookcase with books and ornaments: 0.32 deep.
 pub(crate) fn bookcase(b: &mut Builder, at: Place, width: f64, height: f64, wood: Rgb) {
     const BOARD: f64 = 0.025;
     let board = Pattern::Wood(wood);
@@ -57,7 +57,7 @@ pub(crate) fn bookcase(b: &mut Builder, at: Place, width: f64, height: f64, wood
     }
 }
 
-/// A cupboard with doors: 0.45 deep, with ornaments on top.
+/// A sideboard with doors and with ornaments on top: 0.45 deep.
 pub(crate) fn sideboard(b: &mut Builder, at: Place, width: f64, height: f64, wood: Rgb) {
     let doors = (width / 0.45).round().max(1.0);
     b.block(
@@ -101,7 +101,7 @@ pub(crate) fn sideboard(b: &mut Builder, at: Place, width: f64, height: f64, woo
     }
 }
 
-/// A sofa for `width` with cushions: 0.9 deep, 0.85 high.
+/// A sofa with cushions: 0.9 deep, 0.85 high.
 pub(crate) fn sofa(b: &mut Builder, at: Place, width: f64) {
     let cloth = Pattern::Cloth(srgb(b.choose(CLOTHS)));
     b.block(at, [0.0, 0.0, 0.1], [width, 0.88, 0.3], cloth);
@@ -138,7 +138,7 @@ pub(crate) fn sofa(b: &mut Builder, at: Place, width: f64) {
     }
 }
 
-/// A table on four legs with its middle at the place's origin.
+/// A table on four legs, centred at the origin of its frame.
 pub(crate) fn table(b: &mut Builder, at: Place, [wide, deep, high]: [f64; 3], top: Pattern) {
     let (x, y) = (0.5 * wide, 0.5 * deep);
     b.block(at, [-x, -y, high - 0.035], [x, y, high], top);
@@ -149,7 +149,7 @@ pub(crate) fn table(b: &mut Builder, at: Place, [wide, deep, high]: [f64; 3], to
     }
 }
 
-/// A chair with its seat's middle at the origin, its front towards y: 0.45 square, 0.92 high.
+/// A chair centred at the origin of its frame and facing y: 0.45 square, 0.92 high.
 pub(crate) fn chair(b: &mut Builder, at: Place, wood: Rgb) {
     let board = Pattern::Wood(wood);
     let cloth = Pattern::Cloth(srgb(b.choose(CLOTHS)));
@@ -222,7 +222,7 @@ pub(crate) fn desk(b: &mut Builder, at: Place, wood: Rgb) {
     chair(b, at.at([0.6, 0.85, 0.0], PI - 0.35), wood * 0.7);
 }
 
-/// A window with its frame, sill and curtains about x = 0, from z = 0.9 to 2.1: 0.2 deep.
+/// A window with frame, sill and curtains, centred at x = 0, from z = 0.9 to 2.1: 0.2 deep.
 pub(crate) fn window(b: &mut Builder, at: Place, width: f64) {
     let (x, low, high) = (0.5 * width, 0.9, 2.1);
     b.block(at, [-x, 0.0, low], [x, 0.01, high], Pattern::Landscape);
@@ -246,7 +246,7 @@ pub(crate) fn window(b: &mut Builder, at: Place, width: f64) {
         Pattern::Wood(srgb(0x5b3a22)),
     );
     for side in [-1.0, 1.0] {
-        // Folds.
+        // The folds of a curtain.
         for i in 0..6 {
             let fold = [side * (x + 0.1 + 0.065 * f64::from(i)), 0.1, 0.08];
             let radius = 0.035 + 0.012 * f64::from(i % 2);
@@ -257,7 +257,7 @@ pub(crate) fn window(b: &mut Builder, at: Place, width: f64) {
     b.lamp(at, [0.0, 0.3, 1.5], [x, 0.05, 0.5], daylight);
 }
 
-/// A radiator under a window, about x = 0: 0.13 deep, 0.7 high.
+/// A radiator under a window, centred at x = 0: 0.13 deep, 0.7 high.
 pub(crate) fn radiator(b: &mut Builder, at: Place, width: f64) {
     let count = (width / 0.08) as usize;
     for i in 0..count {
@@ -266,7 +266,7 @@ pub(crate) fn radiator(b: &mut Builder, at: Place, width: f64) {
     }
 }
 
-/// A closed door about x = 0: 0.06 deep, 2.05 high.
+/// A closed door centred at x = 0: 0.06 deep, 2.05 high.
 pub(crate) fn door(b: &mut Builder, at: Place, wood: Rgb) {
     let frame = Pattern::Wood(wood * 0.8);
     b.block(at, [-0.5, 0.0, 0.0], [-0.42, 0.06, 2.08], frame);
@@ -291,7 +291,7 @@ pub(crate) fn door(b: &mut Builder, at: Place, wood: Rgb) {
     b.ball(at, [-0.36, 0.08, 1.02], [0.03; 3], paint(0xc2a860));
 }
 
-/// The frame of an open doorway about x = 0: 0.06 deep.
+/// The frame of an open doorway centred at x = 0: 0.06 deep.
 pub(crate) fn doorway(b: &mut Builder, at: Place, wood: Rgb) {
     let frame = Pattern::Wood(wood * 0.8);
     let (side, top, reach) = (0.5 * DOORWAY_WIDTH_M, DOORWAY_HEIGHT_M, DOORWAY_REACH_M);

@@ -1,5 +1,5 @@
-//! Which furniture stands where: walls, floor and ceiling, furniture along each wall, and a middle
-//! free above table height, where the camera walks.
+//! Room layout: walls, floor and ceiling, furniture along each wall, and a middle that is clear
+//! above table height for the camera path.
 
 use std::f64::consts::{FRAC_PI_2, PI};
 
@@ -15,10 +15,11 @@ use crate::pattern::{Pattern, Rgb, srgb};
 /// Thickness of a wall, metres.
 pub(crate) const WALL_M: f64 = 0.2;
 
-/// Left free at both ends of a wall for the corner and the furniture of the next wall, metres.
+/// Left clear at both ends of a wall for the corner and for the furniture along the adjacent wall,
+/// metres.
 const CORNER_M: f64 = 0.62;
 
-/// What stands along a wall.
+/// A piece of furniture along a wall, or a door or window in it.
 #[derive(Clone, Copy)]
 enum Item {
     Bookcase,
@@ -74,19 +75,19 @@ impl Item {
     }
 }
 
-/// A room to be furnished.
+/// The plan of a room to furnish.
 pub(crate) struct Plan {
-    /// The middle of its floor.
+    /// Frame at the middle of its floor.
     pub middle: Place,
-    /// Width (x), depth (y) and height (z) inside, metres.
+    /// Inner width (x), depth (y) and height (z), metres.
     pub size: Vector3<f64>,
-    /// 0 is a living room, 1 a study, 2 a dining room.
+    /// 0: living room, 1: study, 2: dining room.
     pub kind: u64,
-    /// Whether a doorway is in the middle of the wall at +x, and of that at -x.
+    /// Whether the walls at +x and at -x have a doorway in their middle.
     pub doorways: [bool; 2],
 }
 
-/// The size of the next room.
+/// Draws the inner size of the next room, metres.
 pub(crate) fn size(b: &mut Builder) -> Vector3<f64> {
     Vector3::new(
         b.between(5.0, 5.8),
@@ -95,7 +96,7 @@ pub(crate) fn size(b: &mut Builder) -> Vector3<f64> {
     )
 }
 
-/// Walls, furniture and lamps of a room.
+/// Adds the walls, furniture and lamps of a room.
 pub(crate) fn furnish(b: &mut Builder, plan: &Plan) {
     let wood = srgb(b.choose([0x8a5a36, 0xb98a5a, 0x5f4030, 0xc9b08c]));
     shell(b, plan);
@@ -120,7 +121,7 @@ pub(crate) fn furnish(b: &mut Builder, plan: &Plan) {
         ],
     };
     if plan.doorways != [false; 2] {
-        // Beside a doorway there is no room for a window.
+        // A doorway leaves no space for a window in its wall, so put one here.
         walls[2] = vec![Item::Window, Item::Bookcase];
     }
     for (items, wall) in walls.iter_mut().zip(plan.walls()) {
@@ -135,9 +136,9 @@ pub(crate) fn furnish(b: &mut Builder, plan: &Plan) {
     middle(b, plan, wood);
 }
 
-/// The inside of a wall.
+/// The inner side of a wall.
 struct Wall {
-    /// Its left end (from behind), y into the room.
+    /// Frame at its left end (seen from behind the wall), with y into the room.
     place: Place,
     length: f64,
     has_doorway: bool,
@@ -171,7 +172,7 @@ fn stand_along(b: &mut Builder, items: &[Item], wall: &Wall, wood: Rgb) {
     }
 }
 
-/// A bookcase on either side.
+/// Adds the doorway's frame and a bookcase on either side.
 fn beside_doorway(b: &mut Builder, wall: &Wall, wood: Rgb) {
     f::doorway(b, wall.place.at([0.5 * wall.length, 0.0, 0.0], 0.0), wood);
     let item = Item::Bookcase;
@@ -188,7 +189,7 @@ fn shell(b: &mut Builder, plan: &Plan) {
         doorways: [doorway_ahead, doorway_behind],
     } = *plan;
     let (x, y, z) = (0.5 * size.x, 0.5 * size.y, size.z);
-    // Walls overlap at the corners so that no ray slips through.
+    // Walls overlap at the corners, so that no ray slips through a seam.
     const T: f64 = WALL_M;
     let pale = srgb(b.choose([0xe8e0d0, 0xdcd8cc, 0xcfd8d6, 0xe6d9c4]));
     let floor = match kind {
@@ -257,7 +258,7 @@ fn corners(b: &mut Builder, plan: &Plan) {
     decor::floor_lamp(b, first);
     decor::plant(b, second);
     decor::plant(b, third);
-    // Packing cases with labels.
+    // Two stacked cardboard boxes with labels.
     let card = Pattern::Print {
         paper: srgb(0xb08a5e),
         ink: srgb(0x5a4228),

@@ -1,5 +1,5 @@
-//! Procedural RGB-D recordings of furnished rooms with exact poses and depth, as input for tests,
-//! demonstrations and benchmarks.
+//! Procedural RGB-D sequences of furnished rooms with ground-truth poses and depth, for tests,
+//! demos and benchmarks.
 //!
 //! ```no_run
 //! use fgs_synth::{KINECT, SensorModel, Sequence};
@@ -9,7 +9,8 @@
 //! let world_from_camera = sequence.world_from_camera(0);
 //! ```
 //!
-//! World axes: z up, metres. A frame is a function of (seed, index, camera, sensor) alone.
+//! World frame: z up, metres. A frame depends on nothing but the sequence it belongs to (seed,
+//! rooms, camera, sensor) and its index, so renders are reproducible.
 
 mod builder;
 mod bvh;

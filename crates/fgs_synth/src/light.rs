@@ -1,8 +1,9 @@
-//! Light on every face, worked out once per room: soft shadows of the lamps, one bounce between
-//! the surfaces and an estimate of all further ones.
+//! Baked irradiance: soft shadows from area lamps, one diffuse bounce and an estimate of all
+//! further bounces, computed once per room.
 //!
-//! Each face carries a grid of irradiance, scaled so that a white surface in typical light has
-//! radiance 1. Repeatable: each cell draws from its own generator.
+//! Each face carries a light map, a grid of irradiance, all scaled by one exposure to a fixed
+//! median. Units are such that a white surface (albedo 1) under irradiance 1 has radiance 1. Each
+//! cell has its own random generator, so the result does not depend on the number of threads.
 
 use std::f64::consts::PI;
 
@@ -15,27 +16,28 @@ use crate::pattern::Rgb;
 use crate::room::Room;
 use crate::shape::{Ray, Solid};
 
-/// Side of a grid cell, metres: shadows of furniture are about that soft.
+/// Cell size of the light maps, metres: about as wide as the penumbra of furniture.
 const CELL_M: f64 = 0.08;
-/// Shadow rays to each lamp.
+/// Shadow rays per cell and lamp.
 const LAMP_RAYS: usize = 10;
-/// Bounce rays are stratified in this many rows and columns.
+/// Bounce rays are stratified on a square grid of this many strata a side.
 const BOUNCE_SIDE: usize = 6;
-/// Rays start this far off the surface, metres: well above rounding, well below any gap.
+/// Ray origins are offset along the normal by this much, metres, against self-intersection: well
+/// above rounding error, well below any gap between solids.
 const OFFSET_M: f64 = 1e-4;
-/// Lamps count as at least this far away, metres, so that none burns a hole into its own shade.
+/// Lower bound on the distance to a lamp, metres. Without it a lamp would overexpose its own shade.
 const NEAREST_LAMP_M: f64 = 0.35;
-/// Lamps farther away, metres, give nothing: no room is that long, and what falls through doorways
-/// from there is less than a hundredth of the light of the room's own lamps.
+/// Lamps farther away than this, metres, are ignored. No room is that long, and what comes through
+/// doorways from there is less than a hundredth of the light of the room's own lamps.
 const FARTHEST_LAMP_M: f64 = 9.0;
-/// Light of the second and further bounces as a share of the first: with a mean albedo of 0.4 the
-/// geometric series has 0.4 / 0.6 left.
+/// Light of the second and all further bounces relative to the first: with a mean albedo of 0.4
+/// the rest of the geometric series sums to 0.4 / 0.6.
 const FURTHER_BOUNCES: f32 = 0.67;
 
-/// Typical irradiance: leaves room above for what a lamp or window lights.
+/// Median irradiance after exposure: leaves headroom for surfaces close to a lamp or window.
 const MEDIAN: f32 = 0.42;
 
-/// A glowing box that shines alike in every direction.
+/// An area light: a box that emits equally in all directions.
 pub(crate) struct Lamp {
     pub center: Vector3<f64>,
     pub half: Vector3<f64>,
@@ -48,13 +50,13 @@ struct Grid {
     irradiance: Vec<Rgb>,
 }
 
-/// Irradiance on every face of a room, by solid, then face.
+/// The light maps of a room, indexed by solid, then face.
 pub(crate) struct LightMap {
     faces: Vec<Vec<Grid>>,
 }
 
 impl LightMap {
-    /// No light at all.
+    /// Light maps of zero irradiance.
     pub fn dark(solids: &[Solid]) -> Self {
         let faces = solids.iter().map(|solid| {
             let sizes = (0..solid.face_count()).map(|face| solid.face_size(face));
@@ -65,14 +67,14 @@ impl LightMap {
         }
     }
 
-    /// The light of the room's lamps.
+    /// Bakes the light of the room's lamps.
     pub fn bake(room: &Room, seed: u64) -> Self {
         let mut map = Self::dark(&room.solids);
         let places = map.places(&room.solids);
         let for_each_cell = |light: &(dyn Fn(&Place, &mut Pcg64Mcg) -> Option<Rgb> + Sync)| {
             (places.par_iter().enumerate())
                 .map(|(cell, place)| {
-                    // Any odd number spreads the cells over the seeds.
+                    // Gives each cell its own seed.
                     let mut rng = Pcg64Mcg::seed_from_u64(seed ^ (2 * cell as u64 + 1) << 20);
                     light(place, &mut rng)
                 })
@@ -99,7 +101,7 @@ impl LightMap {
         map
     }
 
-    /// Irradiance at a place of a face, bilinear.
+    /// Irradiance at a point of a face, interpolated bilinearly.
     pub fn at(&self, solid: usize, face: usize, uv: [f64; 2]) -> Rgb {
         self.faces[solid][face].at(uv)
     }
@@ -132,7 +134,8 @@ impl LightMap {
         }
     }
 
-    /// Light that arrives from other surfaces, or `None` inside a solid.
+    /// Irradiance from light reflected once by other surfaces, or `None` if the cell is inside a
+    /// solid.
     fn bounce_light(
         &self,
         room: &Room,
@@ -145,7 +148,7 @@ impl LightMap {
         let mut sum = Rgb::zeros();
         let mut buried = 0;
         for i in 0..BOUNCE_SIDE * BOUNCE_SIDE {
-            // Directions in proportion to the cosine: a disc, lifted to the hemisphere.
+            // Cosine-weighted hemisphere sampling: points of a disc, lifted to the hemisphere.
             let stratum = |k: usize, random: f64| (k as f64 + random) / BOUNCE_SIDE as f64;
             let radius2 = stratum(i % BOUNCE_SIDE, rng.random());
             let (sin, cos) = (2.0 * PI * stratum(i / BOUNCE_SIDE, rng.random())).sin_cos();
@@ -170,7 +173,8 @@ impl LightMap {
         (2 * buried < count).then(|| sum / (count - buried) as f32)
     }
 
-    /// Scales the light so that its median over the cells is [`MEDIAN`].
+    /// Sets the exposure: scales the irradiance so that its median over all lit cells is
+    /// [`MEDIAN`].
     fn expose(&mut self) {
         let mut levels: Vec<f32> = (self.faces.iter().flatten())
             .flat_map(|grid| grid.irradiance.iter().map(|e| e.sum() / 3.0))
@@ -189,7 +193,7 @@ impl LightMap {
     }
 }
 
-/// A point just off a surface and the surface's normal.
+/// A point offset just off a surface, and the surface normal.
 struct Place {
     point: Vector3<f64>,
     normal: Vector3<f64>,
@@ -225,12 +229,12 @@ fn lamp_light(room: &Room, place: &Place, rng: &mut Pcg64Mcg) -> Rgb {
 fn mean_albedo(room: &Room, solid: usize) -> Rgb {
     let faces = room.solids[solid].face_count();
     let mut sum = Rgb::zeros();
-    // 48 places, the same number on each face: enough for a mean colour.
+    // 48 samples, spread equally over the faces, are enough for a mean colour.
     let count = 48 / faces;
     for face in 0..faces {
         let size = room.solids[solid].face_size(face);
         for i in 0..count {
-            // A lattice that covers the face evenly: steps of the golden ratio.
+            // Golden ratio steps in v make a lattice that covers the face evenly.
             let uv = [
                 size[0] * (i as f64 + 0.5) / count as f64,
                 size[1] * (0.618_034 * i as f64).fract(),
@@ -270,8 +274,9 @@ impl Grid {
         near * (1.0 - b) + far * b
     }
 
-    /// Each cell becomes the mean of the known values around it, which evens out the rays' noise
-    /// and lends a value to cells inside other solids (twice over; further in, nobody looks).
+    /// Box filter over the known values of each 3x3 neighbourhood. It averages out Monte Carlo
+    /// noise and extends the map two cells into other solids, where bilinear lookups at their
+    /// edges reach; cells further inside are never seen.
     fn smooth(&mut self, values: &[Option<Rgb>]) {
         let once = self.mean_of_neighbours(values);
         let gaps_filled: Vec<Option<Rgb>> = (values.iter().zip(&once))
@@ -309,7 +314,7 @@ mod tests {
     use crate::builder::{self, Builder};
     use crate::pattern::Pattern;
 
-    /// A bare floor, a small lamp 1 m above its middle, and a shelf that shades one side.
+    /// A bare floor, a small lamp 1 m above its middle, and a shelf that shadows one side.
     #[test]
     fn light_falls_off_and_casts_shadows() {
         let mut b = Builder::new(Pcg64Mcg::seed_from_u64(1));

@@ -1,9 +1,8 @@
-//! Repeatable noise in the plane, from a hash of lattice points.
+//! Deterministic 2D value noise from hashed lattice points.
 //!
-//! Everything here is a pure function of its arguments; fine octaves fade out before they would
-//! alias.
+//! All functions are pure. Fine octaves fade out before they would alias.
 
-/// A well-mixed number for a lattice point.
+/// A well-mixed 32-bit hash of a lattice point.
 pub(crate) fn hash(x: i32, y: i32, seed: u32) -> u32 {
     let mut h = (x as u32).wrapping_mul(0x9E37_79B1)
         ^ (y as u32).wrapping_mul(0x85EB_CA77)
@@ -15,13 +14,13 @@ pub(crate) fn hash(x: i32, y: i32, seed: u32) -> u32 {
     h ^ (h >> 15)
 }
 
-/// A number in [0, 1) for a lattice point.
+/// A hashed value in [0, 1) for a lattice point.
 pub(crate) fn unit(x: i32, y: i32, seed: u32) -> f32 {
     (hash(x, y, seed) >> 8) as f32 / (1 << 24) as f32
 }
 
-/// Smooth noise in [-1, 1] with features of size 1: random values at lattice points, blended by
-/// cubics.
+/// Value noise in [-1, 1] on a lattice of spacing 1: random lattice values, interpolated with the
+/// cubic smoothstep.
 pub(crate) fn value_noise(x: f32, y: f32, seed: u32) -> f32 {
     let (x0, y0) = (x.floor(), y.floor());
     let smooth = |t: f32| t * t * (3.0 - 2.0 * t);
@@ -33,9 +32,10 @@ pub(crate) fn value_noise(x: f32, y: f32, seed: u32) -> f32 {
     2.0 * (near * (1.0 - b) + far * b) - 1.0
 }
 
-/// Fractal noise, about [-1, 1]: octaves of half the wavelength and 0.6 of the amplitude each.
-/// `wavelength` is the first octave's and `footprint` a pixel's size, both in units of `u` and
-/// `v`; octaves shorter than 1.5 pixels are left out and those under 3 pixels fade.
+/// Fractal Brownian motion, roughly in [-1, 1]: each octave has half the wavelength and 0.6 times
+/// the amplitude of the one before. `wavelength` is that of the first octave and `footprint` the
+/// size of a pixel, both in units of `u` and `v`. Octaves fade between wavelengths of 3 and 1.5
+/// pixels; shorter ones are skipped.
 pub(crate) fn fbm(
     [u, v]: [f32; 2],
     seed: u32,
@@ -49,7 +49,7 @@ pub(crate) fn fbm(
         if visible == 0.0 {
             break;
         }
-        // Each octave has its own origin, so that lattice lines do not pile up.
+        // Offset the octaves from each other, so that their lattice lines do not coincide.
         let shift = 17.31 * octave as f32;
         let noise = value_noise(
             u / wavelength + shift,
@@ -74,7 +74,7 @@ mod tests {
             let (x, y) = (0.37 * i as f32 - 700.0, 0.91 * i as f32 - 300.0);
             let value = value_noise(x, y, 3);
             assert!(value.abs() <= 1.0);
-            // The slope is at most 1.5 times the lattice values' difference of 2.
+            // Smoothstep has a slope of at most 1.5 and lattice values differ by at most 2.
             assert!((value_noise(x + 1e-2, y, 3) - value).abs() <= 0.031);
             sum += value;
         }
@@ -86,7 +86,7 @@ mod tests {
         let fine = |footprint| fbm([0.4, 0.3], 1, 0.01, 3, footprint);
         assert_eq!(fine(0.01), 0.0);
         assert!(fine(0.0001).abs() > 0.0);
-        // Half-way between 1.5 and 3 pixels a wave, half of it is left.
+        // Halfway between wavelengths of 1.5 and 3 pixels, half the amplitude is left.
         let octave = |footprint| fbm([0.43, 0.31], 1, 0.1, 1, footprint);
         assert!((octave(0.1 / 2.25) - 0.5 * octave(1e-4)).abs() <= 1e-6);
         assert!(octave(1e-4).abs() >= 0.01);

@@ -1,7 +1,7 @@
-//! The way of a hand-held camera: once round the middle of the room and back to the start.
+//! The path of a hand-held camera: a closed loop around the middle of the room.
 //!
-//! Every motion is a sum of sines that repeat with the loop, so the path is smooth and closes
-//! exactly.
+//! Hand motion is a sum of sines with whole numbers of periods per loop, so the path is smooth and
+//! closes exactly.
 
 use std::f64::consts::{PI, TAU};
 
@@ -10,14 +10,15 @@ use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 
-/// Frames in one loop. At 30 frames a second it takes 10 s, a calm walking pace.
+/// Frames in one loop: 10 s at 30 frames per second, a calm walking pace.
 pub const FRAMES_PER_LOOP: usize = 300;
 
-/// A coordinate's sway: sines of whole numbers of periods a loop.
+/// Sway of one coordinate, as a sum of sines. Each is given by its periods per loop (a whole
+/// number), amplitude and phase offset.
 struct Sway(Vec<[f64; 3]>);
 
 impl Sway {
-    /// Slow harmonics of `amplitude` in all, and the tremor of a hand (2 to 5 Hz).
+    /// Slow sway of about `amplitude` in all, and the tremor of a hand (2 to 5 Hz).
     fn new(rng: &mut Pcg64Mcg, amplitude: f64, tremor: f64) -> Self {
         let mut sine = |periods: u32, amplitude: f64| {
             [f64::from(periods), amplitude, rng.random_range(0.0..TAU)]
@@ -37,7 +38,7 @@ impl Sway {
     }
 }
 
-/// How a hand moves a camera about the way it is meant to go.
+/// How a hand-held camera deviates from its nominal path.
 pub(crate) struct Hand {
     position: [Sway; 3],
     yaw: Sway,
@@ -56,12 +57,13 @@ impl Hand {
         }
     }
 
-    /// The pose of a camera meant to be above (x, y) and to look along `yaw` (rad, 0 is x), within
-    /// 0.25 m of there and between 1.2 m and 1.8 m above the floor. The sway repeats itself with
-    /// whole numbers of `phase`.
+    /// The pose of a camera whose nominal position is above (x, y), metres, and whose nominal
+    /// heading is `yaw` (rad, 0 along x). It stays within 0.25 m of there and between 1.2 m and
+    /// 1.8 m above the floor. The sway has period 1 in `phase`.
     pub fn world_from_camera(&self, phase: f64, [x, y]: [f64; 2], yaw: f64) -> Se3 {
         const EYE_HEIGHT: f64 = 1.5;
-        /// Down, so that floor and furniture fill the view rather than the ceiling.
+        /// Mean pitch, rad: downwards, so that floor and furniture fill the view rather than the
+        /// ceiling.
         const PITCH: f64 = -0.30;
         let sway = Vector3::from_fn(|i, _| self.position[i].at(phase));
         let position = Vector3::new(x, y, EYE_HEIGHT) + sway;
@@ -82,7 +84,7 @@ impl Hand {
     }
 }
 
-/// A closed path round the middle of a room, looking across it.
+/// A closed camera path around the middle of a room, looking across it.
 pub struct CameraPath {
     start: f64,
     direction: f64,
@@ -90,8 +92,8 @@ pub struct CameraPath {
 }
 
 impl CameraPath {
-    /// The path of a seed. It keeps within 1.5 m of the vertical through the origin and between
-    /// 1.2 m and 1.8 m above the floor.
+    /// The path generated from a seed. It stays within 1.5 m of the vertical through the origin and
+    /// between 1.2 m and 1.8 m above the floor.
     pub fn new(seed: u64) -> Self {
         let mut rng = Pcg64Mcg::seed_from_u64(seed ^ 0xca3e_4a00);
         Self {
@@ -101,13 +103,14 @@ impl CameraPath {
         }
     }
 
-    /// The pose after a share of the loop: 0 and 1 are the same. World axes: z up.
+    /// The pose at `phase`, the fraction of the loop completed: 0 and 1 give the same pose. World
+    /// frame: z up, metres.
     pub fn world_from_camera(&self, phase: f64) -> Se3 {
-        // Radii with a circumference of 6.8 m, which leaves room for the furniture along walls.
+        // An ellipse with a circumference of 6.8 m, which clears the furniture along the walls.
         const RADII: [f64; 2] = [1.2, 0.95];
         let angle = self.start + self.direction * TAU * phase;
         let position = [RADII[0] * angle.cos(), RADII[1] * angle.sin()];
-        // Across the room and somewhat ahead, so that near things pass by.
+        // Across the room and somewhat ahead, so that near objects move through the view.
         let yaw = angle + self.direction * 0.8 * PI;
         self.hand.world_from_camera(phase, position, yaw)
     }
@@ -154,7 +157,8 @@ mod tests {
         assert!(gap.log().amax() <= 1e-9);
         for i in 0..300 {
             let [a, b, c] = [0.0, 1.0, 2.0].map(|k| pose(&path, i as f64 + k));
-            // Step to step: a hand's 4 m/s^2 and 250 degrees/s^2 at most.
+            // From frame to frame the velocity changes by at most what a hand does: 4 m/s^2 and
+            // 250 degrees/s^2.
             let change = (a.inverse() * b).inverse() * (b.inverse() * c);
             assert!(change.log().fixed_rows::<3>(3).norm() <= 4.0 / 900.0);
             assert!(change.log().fixed_rows::<3>(0).norm().to_degrees() <= 250.0 / 900.0);

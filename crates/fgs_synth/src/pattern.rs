@@ -1,7 +1,7 @@
-//! Procedural surface patterns, from flat paint to fine print.
+//! Procedural textures, from flat paint to fine print.
 //!
-//! A pattern maps a place on a face to its albedo (the share of light it reflects, linear RGB). It
-//! knows nothing of the viewer, except that noise finer than a pixel is left out.
+//! A pattern maps a point on a face to its albedo (the fraction of light it reflects, linear RGB).
+//! It does not depend on the viewpoint, except that noise finer than a pixel is filtered out.
 
 use nalgebra::Vector3;
 
@@ -11,7 +11,7 @@ use crate::picture;
 /// Linear red, green and blue.
 pub(crate) type Rgb = Vector3<f32>;
 
-/// The linear colour of an sRGB value such as `0xff8800`.
+/// Linear colour from an sRGB hex value such as `0xff8800`.
 pub(crate) fn srgb(hex: u32) -> Rgb {
     Rgb::new(
         (hex >> 16) as f32,
@@ -28,23 +28,23 @@ pub(crate) fn srgb(hex: u32) -> Rgb {
     })
 }
 
-/// Where a pattern is looked up.
+/// Where a pattern is evaluated.
 #[derive(Clone, Copy)]
 pub(crate) struct Spot {
-    /// Coordinates on the face, metres.
+    /// Texture coordinate on the face, metres.
     pub u: f32,
-    /// Likewise; up on upright faces.
+    /// Likewise; points up on upright faces.
     pub v: f32,
     /// Extents of the face, metres.
     pub size: [f32; 2],
-    /// A pixel's size on the face, metres.
+    /// Footprint of a pixel on the face, metres.
     pub footprint: f32,
-    /// Tells faces of the same pattern apart.
+    /// Varies the pattern from face to face.
     pub seed: u32,
 }
 
 impl Spot {
-    /// Fractal noise stretched by (`along_u`, `along_v`) metres.
+    /// Fractal noise whose first octave has wavelengths of `along_u` and `along_v` metres.
     pub fn noise(&self, along_u: f32, along_v: f32, octaves: u32) -> f32 {
         let uv = [self.u / along_u, self.v / along_v];
         let footprint = self.footprint / along_u.min(along_v);
@@ -52,36 +52,36 @@ impl Spot {
     }
 }
 
-/// What a surface is made of. Lengths are metres.
+/// What a surface is made of. Lengths are in metres.
 #[derive(Clone, Copy)]
 pub(crate) enum Pattern {
     /// One colour.
     Paint(Rgb),
-    /// Paint on a rough wall.
+    /// Painted plaster, slightly uneven.
     Plaster(Rgb),
-    /// Board with the grain along its longer side.
+    /// A board with the grain along its longer side.
     Wood(Rgb),
-    /// Floor boards of several tones.
+    /// Floorboards in several tones.
     Planks(Rgb),
-    /// A chessboard of tiles with joints.
+    /// Tiles in a checkerboard with grout joints.
     Tiles { colors: [Rgb; 2], side: f32 },
-    /// Masonry.
+    /// Brickwork with mortar joints.
     Bricks(Rgb),
-    /// Upright stripes, two a period.
+    /// Stripes along v, two per period.
     Stripes { colors: [Rgb; 2], period: f32 },
-    /// Rows of flower-like motifs on wallpaper.
+    /// Wallpaper with rows of flower-like motifs.
     Wallpaper { ground: Rgb, motif: Rgb },
     /// Coarse cloth.
     Cloth(Rgb),
-    /// A bordered carpet with rows of diamonds.
+    /// A bordered rug with rows of diamonds.
     Rug([Rgb; 3]),
     /// Veined stone.
     Marble { ground: Rgb, vein: Rgb },
     /// Chips of stone in cement.
     Terrazzo(Rgb),
-    /// Lines of print, each `line` high.
+    /// Lines of text, each `line` high.
     Print { paper: Rgb, ink: Rgb, line: f32 },
-    /// A book's back with bands and a title.
+    /// A book spine with bands and a title.
     Spine(Rgb),
     /// A leaf with veins.
     Leaf(Rgb),
@@ -91,7 +91,7 @@ pub(crate) enum Pattern {
     Abstract,
     /// A painting of flowers that fills the face.
     Blossoms,
-    /// Land and sea.
+    /// A globe with land and sea.
     Globe,
 }
 
@@ -109,7 +109,7 @@ impl Pattern {
             }
             Self::Wallpaper { ground, motif } => wallpaper(ground, motif, spot),
             Self::Cloth(color) => {
-                // Threads of 8 mm, over and under by turns.
+                // A weave of 8 mm threads as noise, which fades out before it would alias.
                 let weave = value_noise(spot.u / 0.008, spot.v / 0.008, spot.seed);
                 let visible = (0.006 / spot.footprint - 1.0).clamp(0.0, 1.0);
                 color * (1.0 + 0.12 * visible * weave + 0.07 * spot.noise(0.25, 0.25, 2))
@@ -277,9 +277,9 @@ fn terrazzo(color: Rgb, spot: &Spot) -> Rgb {
     }
 }
 
-/// Whether print covers a spot, with (x, y) in lines from the text's lower left.
+/// Whether ink covers the point (x, y), in line heights from the lower left of the text.
 fn inked(x: f32, y: f32, seed: u32) -> bool {
-    // A letter is half as wide as a line is high and made of strokes along a 2x3 lattice.
+    // Letters are half a line height wide and made of strokes on a 2x3 grid.
     let (row, column) = (y.floor() as i32, (2.0 * x).floor() as i32);
     let (a, b) = ((2.0 * x).rem_euclid(1.0), y.rem_euclid(1.0));
     let letter = crate::noise::hash(column, row, seed);
@@ -300,7 +300,7 @@ fn inked(x: f32, y: f32, seed: u32) -> bool {
 fn print(paper: Rgb, ink: Rgb, line: f32, spot: &Spot) -> Rgb {
     let margin = 1.5 * line;
     let [width, height] = spot.size;
-    // Lines end raggedly, and every seventh is empty.
+    // The right margin is ragged, and every seventh line is blank.
     let row = ((spot.v - margin) / line).floor() as i32;
     let end = width - margin - 0.3 * width * unit(row, 7, spot.seed);
     let in_text = spot.u > margin
@@ -351,7 +351,7 @@ mod tests {
     fn srgb_ends_and_middle() {
         assert_eq!(srgb(0), Rgb::zeros());
         assert!((srgb(0xffffff) - Rgb::repeat(1.0)).amax() <= 1e-6);
-        // 188 is the sRGB code of about half the light.
+        // The sRGB value 188 is about half the linear intensity.
         assert!((srgb(0x00bc00).y - 0.5029).abs() <= 1e-3);
         assert_eq!(srgb(0x00bc00).x, 0.0);
     }

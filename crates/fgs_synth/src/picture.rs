@@ -1,15 +1,15 @@
-//! Paintings: patterns that fill the face they are on, with detail of every size.
+//! Paintings: patterns that fill the whole face, with detail at every scale.
 
 use std::f32::consts::PI;
 
 use crate::noise::{fbm, unit, value_noise};
 use crate::pattern::{Rgb, Spot, srgb};
 
-/// Sky with clouds, three ridges in haze, a lake or a meadow, and firs.
+/// A landscape: sky with clouds, three hazy ridges, a lake or a meadow, and fir trees.
 pub(crate) fn landscape(spot: &Spot) -> Rgb {
     let seed = spot.seed;
     let height = spot.size[1];
-    // Picture coordinates: y from 0 to 1, x on the same scale.
+    // Painting coordinates: y from 0 to 1, x on the same scale.
     let (x, y) = (spot.u / height, spot.v / height);
     let pixel = spot.footprint / height;
     let noise = |u: f32, v: f32, k: u32, wavelength: f32, octaves: u32| {
@@ -19,7 +19,7 @@ pub(crate) fn landscape(spot: &Spot) -> Rgb {
     let zenith = srgb(0x3a6fb5).lerp(&srgb(0x2c2f66), dusk);
     let horizon = srgb(0xd5e6f2).lerp(&srgb(0xf6a35c), dusk);
 
-    // Ridges from near to far: foot, height, colour before haze.
+    // Ridges from near to far: base, height, colour before haze.
     let ridges = [
         (0.30, 0.10, srgb(0x2f4a2a)),
         (0.42, 0.16, srgb(0x43603f)),
@@ -67,7 +67,7 @@ fn hash_bit(seed: u32) -> bool {
     unit(4, 0, seed) < 0.5
 }
 
-/// Whether a fir covers the point `above` a hill's line.
+/// Whether a fir tree covers the point at `x`, `above` the line of a ridge.
 fn fir(x: f32, above: f32, seed: u32) -> bool {
     const SPACING: f32 = 0.035;
     let i = (x / SPACING).floor();
@@ -79,7 +79,7 @@ fn fir(x: f32, above: f32, seed: u32) -> bool {
     (-0.5..1.0).contains(&share) && (x - middle).abs() < reach
 }
 
-/// Discs and bars of strong colours, one over another.
+/// Overlapping discs, rings and bars in strong colours.
 pub(crate) fn abstract_painting(spot: &Spot) -> Rgb {
     const PALETTE: [u32; 7] = [
         0xd1495b, 0xedae49, 0x00798c, 0x30638e, 0x003d5b, 0xf4f1de, 0x81b29a,
@@ -108,7 +108,7 @@ pub(crate) fn abstract_painting(spot: &Spot) -> Rgb {
     color * (1.0 + 0.12 * fbm([x * 0.25, y], spot.seed, 0.03, 3, spot.footprint / height))
 }
 
-/// Many flowers on a dark ground.
+/// Many flowers on a dark background.
 pub(crate) fn blossoms(spot: &Spot) -> Rgb {
     const PALETTE: [u32; 5] = [0xe76f7a, 0xf2d0a4, 0xe8e6e1, 0xc94f7c, 0xf0b429];
     let height = spot.size[1];
@@ -137,7 +137,7 @@ pub(crate) fn blossoms(spot: &Spot) -> Rgb {
     color
 }
 
-/// Land and sea with parallels.
+/// Land and sea with a grid of parallels and meridians.
 pub(crate) fn globe(spot: &Spot) -> Rgb {
     let [around, height] = spot.size;
     let (x, y) = (spot.u / around, spot.v / height);

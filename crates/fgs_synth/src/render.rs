@@ -1,8 +1,8 @@
-//! Pictures of a room: exact depth at pixel centres and anti-aliased linear colour.
+//! Ray casting: exact depth at pixel centres and anti-aliased linear colour.
 //!
-//! Each pixel averages its centre and its four corners (shared with its neighbours) and, where
-//! these disagree, the middles of its sides. Every pixel is a function of the scene alone, so any
-//! number of threads gives the same picture.
+//! Adaptive supersampling: each pixel averages its centre and its four corners (shared with its
+//! neighbours) and, where these differ, the midpoints of its sides as well. No pixel depends on
+//! the order of evaluation, so any number of threads renders the same image.
 
 use fgs_geom::{Camera, Image, Se3, View};
 use nalgebra::{Matrix3, Vector3};
@@ -12,16 +12,17 @@ use crate::pattern::Rgb;
 use crate::room::{Hit, Room};
 use crate::shape::Ray;
 
-/// Relative difference of samples of a channel above which a pixel is sampled more finely: less
-/// would not be seen after averaging five.
+/// Relative difference between samples, per channel, above which a pixel gets more samples. A
+/// smaller one would not show in the average of five.
 const CONTRAST: f32 = 0.1;
-/// Darkness below which differences do not matter: two 8-bit steps near black.
+/// Radiance added to the reference of that contrast, so that differences near black do not count:
+/// about two 8-bit steps there.
 const DARK: f32 = 0.02;
 
-/// Linear radiance and depth.
+/// A rendered image: linear radiance and depth.
 pub(crate) struct Picture {
     pub radiance: Image<Rgb>,
-    /// Depth along z, metres; 0: nothing met.
+    /// Depth along the camera's z, metres; 0 where the ray hit nothing.
     pub depth_m: Image<f32>,
 }
 
@@ -33,7 +34,7 @@ impl Picture {
         }
     }
 
-    /// Calls `fill` with each row's number, radiance and depth.
+    /// Calls `fill` in parallel with each row's index, radiance and depth.
     fn for_each_row(&mut self, fill: impl Fn(usize, &mut [Rgb], &mut [f32]) + Sync) {
         let width = self.radiance.width();
         (self.radiance.data_mut().par_chunks_mut(width))
@@ -47,7 +48,7 @@ impl Picture {
 struct Sample {
     radiance: Rgb,
     depth: f64,
-    /// Solid and face, `None` for nothing.
+    /// Solid and face hit, `None` if the ray left the scene.
     met: Option<(usize, usize)>,
 }
 
@@ -69,7 +70,8 @@ impl<'a> Tracer<'a> {
         }
     }
 
-    /// The ray through a point of the image: z = 1 in camera axes, so that t is depth.
+    /// The ray through an image point, in the world frame. Its direction has z = 1 in the camera
+    /// frame, so that the ray parameter is the depth.
     fn ray(&self, u: f64, v: f64) -> Ray {
         Ray {
             origin: self.origin,
@@ -81,7 +83,7 @@ impl<'a> Tracer<'a> {
         (self.room).radiance(ray, hit, 1.0 / self.camera.intrinsics.fx)
     }
 
-    /// What is seen at a point of the image. `likely` is the solid seen nearby.
+    /// Casts a ray through an image point. `likely` is the solid hit by a neighbouring sample.
     fn sample(&self, u: f64, v: f64, likely: Option<usize>) -> Sample {
         let ray = self.ray(u, v);
         match self.room.meet(&ray, likely) {
@@ -98,14 +100,15 @@ impl<'a> Tracer<'a> {
         }
     }
 
-    /// Radiance at a point of the image where `solid` is known to be in front.
+    /// Radiance at an image point where `solid` is known to be frontmost, which saves traversing
+    /// the scene.
     fn sample_solid(&self, u: f64, v: f64, solid: usize) -> Option<Rgb> {
         let ray = self.ray(u, v);
         let (t, face) = self.room.solids[solid].meet(&ray, 0.0, f64::INFINITY)?;
         Some(self.shade(&ray, &Hit { t, solid, face }))
     }
 
-    /// Samples one pixel apart, the first at [u, v].
+    /// A row of samples one pixel apart, starting at (`left`, `v`).
     fn row(&self, width: usize, [left, v]: [f64; 2]) -> Vec<Sample> {
         let mut likely = None;
         (0..width)
@@ -117,8 +120,8 @@ impl<'a> Tracer<'a> {
             .collect()
     }
 
-    /// The sum of radiance at the middles of a pixel's sides. With one face in all of the pixel
-    /// only its pattern varies, and nothing else needs to be looked for.
+    /// The sum of radiance at the midpoints of a pixel's sides. If a single face covers the pixel,
+    /// only its pattern varies, so its solid alone is intersected.
     fn sides(&self, u: usize, v: usize, center: &Sample, is_one_face: bool) -> Rgb {
         let solid = center.met.map(|(solid, _)| solid);
         [(-0.5, 0.0), (0.5, 0.0), (0.0, -0.5), (0.0, 0.5)]
@@ -133,7 +136,7 @@ impl<'a> Tracer<'a> {
     }
 }
 
-/// The room seen from a view.
+/// Renders the room from a view.
 pub(crate) fn render(room: &Room, view: &View) -> Picture {
     let Camera { width, height, .. } = view.camera;
     let tracer = Tracer::new(room, view);
@@ -155,7 +158,7 @@ pub(crate) fn render(room: &Room, view: &View) -> Picture {
             let is_even = is_one_face && around.iter().all(|corner| is_close(center, corner));
             let sum: Rgb = around.iter().map(|corner| corner.radiance).sum();
             depth_m[u] = center.depth as f32;
-            // Weights of a tent over the pixel.
+            // Tent filter over the pixel.
             radiance[u] = if is_even {
                 0.5 * center.radiance + 0.125 * sum
             } else {
@@ -167,9 +170,9 @@ pub(crate) fn render(room: &Room, view: &View) -> Picture {
     picture
 }
 
-/// The room seen in passing: the mean of one picture for each pose, each sampled at one point of
-/// every pixel, the points spread over the pixel. Depth is that of the middle pose, whose point is
-/// the pixel's centre.
+/// Renders the room with motion blur: the mean of one image per pose, each with one sample per
+/// pixel, and with the samples spread over the pixel for anti-aliasing. Depth is that of the middle
+/// pose, which samples the pixel's centre.
 pub(crate) fn render_moving(room: &Room, camera: &Camera, poses: &[Se3]) -> Picture {
     let middle = poses.len() / 2;
     let mut picture = Picture::black(camera);
@@ -179,7 +182,8 @@ pub(crate) fn render_moving(room: &Room, camera: &Camera, poses: &[Se3]) -> Pict
             world_from_camera,
         };
         let tracer = Tracer::new(room, &view);
-        // A lattice that covers the pixel evenly: rows by turns, columns in steps of 2.
+        // Rank-1 lattice, which covers the pixel evenly: from pose to pose v advances by one step
+        // and u by two.
         let part = |k: usize| (k % poses.len()) as f64 / poses.len() as f64;
         let [du, dv] = [
             2 * (moment + poses.len() - middle),

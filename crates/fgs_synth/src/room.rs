@@ -1,6 +1,6 @@
-//! A furnished room: solids with patterns, and the light that falls on them.
+//! A furnished room: solids with their patterns, and the irradiance baked onto them.
 //!
-//! Surfaces are matt: the radiance of a point is the same from everywhere.
+//! Surfaces are Lambertian, so a point has the same radiance from every viewpoint.
 
 use nalgebra::Vector3;
 use rand::SeedableRng;
@@ -13,31 +13,31 @@ use crate::light::{Lamp, LightMap};
 use crate::pattern::{Pattern, Rgb, Spot};
 use crate::shape::{Ray, Solid};
 
-/// A solid's looks.
+/// A solid's material.
 pub(crate) struct Finish {
     pub pattern: Pattern,
     pub seed: u32,
-    /// Light given off, as a multiple of the albedo. Whatever glows casts no shadow.
+    /// Emitted radiance as a multiple of the albedo. Solids that emit light cast no shadow.
     pub glow: f32,
 }
 
-/// Where a ray first meets a solid.
+/// The first intersection of a ray with the scene.
 #[derive(Clone, Copy)]
 pub(crate) struct Hit {
-    /// Distance in units of the ray's direction.
+    /// Ray parameter: distance in units of the ray's direction.
     pub t: f64,
     /// Index of the solid.
     pub solid: usize,
-    /// Its face.
+    /// Face of the solid.
     pub face: usize,
 }
 
-/// A closed room with furniture, or a row of them, in metres: z up, the middle of the (first)
-/// floor at the origin.
+/// A closed furnished room, or a row of them. The world frame has z up, metres, and its origin at
+/// the middle of the (first) floor.
 pub struct Room {
     size: Vector3<f64>,
     thresholds: Vec<f64>,
-    /// Finishes belong to solids by index.
+    /// Parallel to `finishes`: the same index is the same solid.
     pub(crate) solids: Vec<Solid>,
     pub(crate) finishes: Vec<Finish>,
     pub(crate) lamps: Vec<Lamp>,
@@ -46,14 +46,15 @@ pub struct Room {
 }
 
 impl Room {
-    /// The room of a seed. Seeds differ in size, furniture, materials and light; consecutive seeds
-    /// also in kind (living room, study, dining room). Takes about a second, spent on light.
+    /// The room generated from a seed. Rooms of different seeds differ in size, furniture,
+    /// materials and light, those of consecutive seeds also in kind (living room, study, dining
+    /// room). Takes about a second, which is spent on baking the light.
     pub fn new(seed: u64) -> Self {
         Self::row(seed, 1)
     }
 
-    /// Rooms in a row along x, of consecutive seeds from `seed`, joined by open doorways in the
-    /// middle of the walls between them, 1 m wide and 2.1 m high.
+    /// A row of `count` rooms along x, generated from consecutive seeds starting at `seed`. Open
+    /// doorways, 1 m wide and 2.1 m high, join them in the middle of the walls between them.
     pub fn row(seed: u64, count: usize) -> Self {
         let mut room = Self::unlit_row(seed, count);
         room.light = LightMap::bake(&room, seed);
@@ -98,7 +99,7 @@ impl Room {
         }
     }
 
-    /// The room of what a builder has put together, in the dark.
+    /// The builder's room without any light.
     pub(crate) fn unlit(builder: Builder, size: Vector3<f64>) -> Self {
         let Builder {
             solids,
@@ -117,18 +118,20 @@ impl Room {
         }
     }
 
-    /// x of the wall before the first room, of the middle of each doorway, and of the wall behind
-    /// the last room.
+    /// Where each room begins along x, and where the last one ends: x of the outer wall of the
+    /// first room, of the middle of each doorway, and of the outer wall of the last room.
     pub(crate) fn thresholds(&self) -> &[f64] {
         &self.thresholds
     }
 
-    /// Width (x), depth (y) and height (z) inside, metres; of a row from its first wall to its last.
+    /// Inner width (x), depth (y) and height (z), metres. For a row of rooms the width spans from
+    /// the first wall to the last, and depth and height are the largest of any room.
     pub fn size(&self) -> Vector3<f64> {
         self.size
     }
 
-    /// What a ray meets first beyond `t` = 0. `likely` is a guess that saves time.
+    /// The first intersection with `t` > 0. `likely` is a guess at the solid: testing it first
+    /// lets the traversal skip what lies behind it.
     pub(crate) fn meet(&self, ray: &Ray, likely: Option<usize>) -> Option<Hit> {
         let mut best = None;
         let mut meet = |solid: usize, limit: &mut f64| {
@@ -145,26 +148,26 @@ impl Room {
         best
     }
 
-    /// Whether something that casts a shadow lies on a ray before t = 1.
+    /// Shadow ray: whether a solid that casts a shadow blocks the ray before t = 1.
     pub(crate) fn is_blocked(&self, ray: &Ray) -> bool {
         let mut limit = 1.0;
         self.bvh.visit(ray, &mut limit, |solid, limit| {
             let casts_shadow = self.finishes[solid].glow == 0.0;
             if casts_shadow && self.solids[solid].meet(ray, 0.0, *limit).is_some() {
-                // Ends the search.
+                // Any hit will do: ends the traversal.
                 *limit = 0.0;
             }
         });
         limit == 0.0
     }
 
-    /// Linear radiance leaving a point that a ray has met, where `pixel_angle` (rad) is a pixel's
-    /// size seen from the ray's origin.
+    /// Linear radiance leaving a hit point towards the ray's origin. `pixel_angle` is the angle
+    /// that a pixel subtends there, rad.
     pub(crate) fn radiance(&self, ray: &Ray, hit: &Hit, pixel_angle: f64) -> Rgb {
         let at = self.solids[hit.solid].locate(hit.face, &ray.at(hit.t));
         let length = ray.direction.norm();
-        // The pixel is stretched one way by 1 / cosine: take the geometric mean, but not beyond
-        // tenfold.
+        // At a slant the pixel's footprint is stretched by 1 / cosine in one direction. Use the
+        // geometric mean of both directions, with the stretch limited to tenfold.
         let cosine = (at.normal.dot(&ray.direction).abs() / length).max(0.01);
         let footprint = (hit.t * length * pixel_angle / cosine.sqrt()) as f32;
         let finish = &self.finishes[hit.solid];

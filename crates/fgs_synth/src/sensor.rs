@@ -1,7 +1,8 @@
-//! What a camera makes of an exact picture: noise, steps and holes in depth; exposure, noise and
-//! tone in colour.
+//! Sensor model, applied to a rendered image: noise, disparity quantisation and holes in depth;
+//! exposure, tone curve and noise in colour.
 //!
-//! Repeatable: every row of every frame draws from its own generator.
+//! Every row of every frame has its own random generator, so results are reproducible with any
+//! number of threads.
 
 use std::f64::consts::TAU;
 
@@ -13,27 +14,29 @@ use rayon::prelude::*;
 use crate::noise::{unit, value_noise};
 use crate::pattern::Rgb;
 
-/// A camera's imperfections; each can be turned off by itself.
+/// The imperfections of an RGB-D camera. Each can be turned off independently.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SensorModel {
-    /// Noise along z as a multiple of a Kinect's, whose standard deviation is
+    /// Axial depth noise (along z) as a multiple of a Kinect's, whose standard deviation is
     /// 1.2 mm + 1.9 mm/m^2 (z - 0.4 m)^2 (Nguyen, Izadi and Lovell 2012). 0: none.
     pub depth_noise: f64,
-    /// Standard deviation of the place where depth is sampled, pixels of a 640 pixels wide image:
-    /// frays the edges of things. 0: none.
+    /// Standard deviation of the lateral noise, in pixels of an image 640 pixels wide. Depth is
+    /// sampled at a pixel moved by it, which frays the edges of objects. 0: none.
     pub edge_jitter_px: f64,
-    /// Depth comes in steps of this times z^2, metres per square metre, as disparities do.
-    /// 0: no steps.
+    /// Depth resolution: depth is quantised in equal steps of disparity, which makes the depth
+    /// step this times z^2; metres per square metre. 0: no quantisation.
     pub depth_step_per_m: f64,
-    /// Nearest and farthest depth measured, metres.
+    /// Working range: nearest and farthest depth measured, metres.
     pub range_m: [f64; 2],
-    /// Whether depth is missing at edges, on surfaces seen at a grazing angle and in blotches.
+    /// Whether depth is missing at object edges, on surfaces at a grazing angle and in random
+    /// patches.
     pub holes: bool,
-    /// How far exposure wanders, as a logarithm: 0.1 is about 10 % either way. 0: constant.
+    /// Amplitude of the slow drift of exposure, as a natural logarithm: 0.1 is about 10 % either
+    /// way. White balance drifts by a sixth of it. 0: constant.
     pub exposure_drift: f64,
-    /// Standard deviation of colour noise, steps of 1/255. 0: none.
+    /// Standard deviation of colour noise, in 8-bit steps (1/255). 0: none.
     pub color_noise: f64,
-    /// Share of the time between frames during which the shutter is open; 0: no motion blur.
+    /// Exposure time as a fraction of the frame interval. 0: no motion blur.
     pub shutter: f64,
 }
 
@@ -52,23 +55,24 @@ impl SensorModel {
         }
     }
 
-    /// A hand-held Kinect (first generation) in a room.
+    /// A first-generation Kinect, hand-held indoors.
     pub fn kinect() -> Self {
         Self {
             depth_noise: 1.0,
             edge_jitter_px: 0.6,
-            // An eighth of a pixel of disparity at 580 px focal length and 75 mm base line.
+            // A disparity step of an eighth of a pixel at a focal length of 580 px and a baseline
+            // of 75 mm.
             depth_step_per_m: 0.125 / (580.0 * 0.075),
             range_m: [0.4, 5.0],
             holes: true,
             exposure_drift: 0.08,
             color_noise: 1.5,
-            // 8 ms of 33 ms.
+            // An exposure of 8 ms of the 33 ms between frames.
             shutter: 0.25,
         }
     }
 
-    /// The depth that the sensor measures; 0 where it fails.
+    /// The depth image that the sensor measures, metres; 0 where it has no depth.
     pub(crate) fn measure(
         &self,
         exact: &Image<f32>,
@@ -119,7 +123,7 @@ impl SensorModel {
         let z = f64::from(exact_here);
         let sigma = self.depth_noise * (0.0012 + 0.0019 * (z - 0.4).powi(2));
         let noisy = z + sigma * gaussian(rng);
-        // Beyond 75 to 82 degrees too little light returns.
+        // Beyond an angle of incidence of 75 to 82 degrees too little light returns to the sensor.
         let steepest = rng.random_range(3.7..7.0);
         let is_hole = !has_depth(exact_here)
             || self.holes
@@ -139,7 +143,7 @@ impl SensorModel {
         }) as f32
     }
 
-    /// The 8-bit sRGB picture of linear radiance.
+    /// The 8-bit sRGB image of linear radiance.
     pub(crate) fn develop(&self, radiance: &Image<Rgb>, seed: u64, frame: usize) -> Image<[u8; 3]> {
         let width = radiance.width();
         let gains = self.gains(seed, frame);
@@ -162,7 +166,7 @@ impl SensorModel {
         color
     }
 
-    /// Gain of each channel: exposure wanders slowly, white balance by a sixth of that.
+    /// Gain of each channel: exposure drifts slowly, white balance by a sixth of that.
     fn gains(&self, seed: u64, frame: usize) -> Rgb {
         let secs = frame as f64 / crate::FRAMES_PER_SECOND;
         let wave = |k: i32, period: f64| {
@@ -179,17 +183,18 @@ impl SensorModel {
 
 fn row_rng(seed: u64, frame: usize, row: usize, stream: u64) -> Pcg64Mcg {
     let place = (frame as u64) << 24 | (row as u64) << 1 | stream;
-    // An odd factor keeps different places apart.
+    // Multiplication by an odd factor is invertible, so different rows get different seeds.
     Pcg64Mcg::seed_from_u64(seed ^ place.wrapping_mul(0x9E37_79B9_7F4A_7C15))
 }
 
-/// A standard normal number: Box and Muller.
+/// A standard normal sample, by the Box-Muller transform.
 fn gaussian(rng: &mut Pcg64Mcg) -> f64 {
     let radius = (-2.0 * (1.0 - rng.random::<f64>()).ln()).sqrt();
     radius * (TAU * rng.random::<f64>()).cos()
 }
 
-/// The tangent of the angle between the surface's normal and the view; large at edges too.
+/// The tangent of the angle of incidence (between surface normal and line of sight), from central
+/// differences; large at depth edges too.
 fn slope(depth: &Image<f32>, camera: &Camera, [u, v]: [usize; 2]) -> f64 {
     let at = |u: usize, v: usize| f64::from(depth.at(u, v));
     let last = |size: usize| size - 1;
@@ -198,12 +203,14 @@ fn slope(depth: &Image<f32>, camera: &Camera, [u, v]: [usize; 2]) -> f64 {
     0.5 * across.hypot(down) * camera.intrinsics.fx / at(u, v)
 }
 
-/// Patches without depth, about 1 % of the picture, other ones in every frame.
+/// Whether a pixel lies in a random patch without depth. They cover about 1 % of the image and
+/// change with every frame.
 fn blotched(u: f64, v: f64, frame: usize) -> bool {
     value_noise(u as f32 / 18.0, v as f32 / 14.0, frame as u32) > 0.88
 }
 
-/// Extended Reinhard curve: nearly linear in the shadows, white at 4 times the typical light.
+/// Extended Reinhard tone curve after a fixed gain: nearly linear in the shadows, and white where
+/// the amplified radiance reaches 4.
 fn tone(linear: f32) -> f32 {
     const GAIN: f32 = 1.5;
     const WHITE: f32 = 4.0;
@@ -299,7 +306,7 @@ mod tests {
         assert!(share(&edge, 319..321) <= 0.3);
         assert!(share(&edge, 0..300) >= 0.97);
         assert!(share(&edge, 0..300) <= 0.998, "blotches");
-        // 85 degrees: z grows by tan(85) / fx of itself a pixel.
+        // 85 degrees: from pixel to pixel z grows by the fraction tan(85 degrees) / fx.
         let steep = Image::from_fn(640, 480, |_, v| (11.43 * v as f32 / 525.0).exp().min(4.0));
         let measured = kinect.measure(&steep, &KINECT, 1, 2);
         assert!((5..50).all(|v| (0..640).all(|u| measured.at(u, v) == 0.0)));

@@ -1,4 +1,4 @@
-//! A recording: a room, a walk through it, a camera and a sensor.
+//! A sequence of RGB-D frames: a room, a camera path, a camera and a sensor model.
 
 use std::sync::Arc;
 
@@ -10,10 +10,10 @@ use crate::room::Room;
 use crate::sensor::SensorModel;
 use crate::walk::Walk;
 
-/// Frame rate of every recording.
+/// Frame rate of every sequence, Hz.
 pub const FRAMES_PER_SECOND: f64 = 30.0;
 
-/// 640x480 with the nominal intrinsics of a Kinect.
+/// A Kinect's camera: 640x480 pixels with its nominal intrinsics.
 pub const KINECT: Camera = Camera {
     width: 640,
     height: 480,
@@ -25,10 +25,10 @@ pub const KINECT: Camera = Camera {
     },
 };
 
-/// A camera of another size with [`KINECT`]'s horizontal field of view.
+/// A camera of any resolution with [`KINECT`]'s horizontal field of view.
 ///
 /// # Errors
-/// If a side is 0 or above 65536 pixels, or the picture far taller than wide.
+/// If a side is 0 or above 65536 pixels, or the image is far taller than wide.
 pub fn kinect_camera(width: usize, height: usize) -> Result<Camera, CameraError> {
     let focal = KINECT.intrinsics.fx * width as f64 / KINECT.width as f64;
     let intrinsics = Intrinsics {
@@ -40,13 +40,13 @@ pub fn kinect_camera(width: usize, height: usize) -> Result<Camera, CameraError>
     Camera::new(width, height, intrinsics)
 }
 
-/// Where the camera goes.
+/// The camera path.
 enum Way {
     Loop(CameraPath),
     Walk(Walk),
 }
 
-/// A recording of any number of frames, each rendered when asked for.
+/// A sequence of any number of frames, rendered on demand.
 #[derive(Clone)]
 pub struct Sequence {
     seed: u64,
@@ -58,8 +58,9 @@ pub struct Sequence {
 }
 
 impl Sequence {
-    /// `len` frames in the room of `seed`, at [`FRAMES_PER_SECOND`]. The walk is always the same:
-    /// [`FRAMES_PER_LOOP`] frames bring it back to its start, fewer cut it short, more repeat it.
+    /// `len` frames in the room of `seed`, at [`FRAMES_PER_SECOND`]. The camera path is a closed
+    /// loop of [`FRAMES_PER_LOOP`] frames whatever `len` is: fewer frames cut it short, more repeat
+    /// it.
     pub fn new(seed: u64, len: usize, camera: Camera, sensor: SensorModel) -> Self {
         Self {
             seed,
@@ -71,9 +72,10 @@ impl Sequence {
         }
     }
 
-    /// `len` frames, at [`FRAMES_PER_SECOND`], of a walk through the rooms of `seed` and the seeds
-    /// after it, in a row from door to door. The frames are spread over the whole walk;
-    /// [`FRAMES_PER_LOOP`] a room are a calm walking pace. One room is that of [`Self::new`].
+    /// `len` frames, at [`FRAMES_PER_SECOND`], of a walk through a row of rooms generated from
+    /// `seed` and the seeds after it, from doorway to doorway. The frames are spread over the whole
+    /// walk, so `len` sets the speed: [`FRAMES_PER_LOOP`] frames per room make a calm walking pace.
+    /// For a single room this is the same as [`Self::new`].
     pub fn through_rooms(
         seed: u64,
         rooms: usize,
@@ -95,7 +97,7 @@ impl Sequence {
         }
     }
 
-    /// The same recording by another sensor; shares the room.
+    /// The same sequence seen by another sensor; shares the room.
     pub fn with_sensor(&self, sensor: SensorModel) -> Self {
         Self {
             sensor,
@@ -103,7 +105,7 @@ impl Sequence {
         }
     }
 
-    /// The same recording by another camera; shares the room.
+    /// The same sequence seen by another camera; shares the room.
     pub fn with_camera(&self, camera: Camera) -> Self {
         Self {
             camera,
@@ -131,13 +133,13 @@ impl Sequence {
         &self.room
     }
 
-    /// The exact pose of frame `index`. Beyond the last frame the walk goes on in one room, and has
-    /// ended in several.
+    /// The ground-truth pose of frame `index`. Past the last frame, the loop in a single room goes
+    /// on, while the walk through several rooms stays at its end.
     pub fn world_from_camera(&self, index: usize) -> Se3 {
         self.pose_at(index as f64)
     }
 
-    /// Frame `index`, rendered on all of rayon's threads, at [`Self::world_from_camera`].
+    /// Renders frame `index`, taken from [`Self::world_from_camera`], on all of rayon's threads.
     pub fn frame(&self, index: usize) -> RgbdFrame {
         let Picture { radiance, depth_m } = self.exposed(index);
         RgbdFrame::new(
@@ -162,10 +164,10 @@ impl Sequence {
         }
     }
 
-    /// Exact depth at the middle of the exposure, and the mean radiance over it.
+    /// Exact depth at the middle of the exposure, and radiance averaged over it.
     fn exposed(&self, index: usize) -> Picture {
-        /// Moments averaged: at most a pixel apart at a normal pace. Odd, so that one is in the
-        /// middle.
+        /// Poses averaged over the exposure: enough to keep them at most a pixel apart at a normal
+        /// pace, and odd, so that one is in the middle.
         const MOMENTS: usize = 5;
         if self.sensor.shutter == 0.0 {
             let view = View {

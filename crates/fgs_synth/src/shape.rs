@@ -1,14 +1,13 @@
-//! Analytic solids and where rays meet them: blocks, ellipsoids and capped cones, each turned
-//! any way.
+//! Ray intersection with analytic solids: boxes, ellipsoids and capped cones in any orientation.
 //!
-//! Every face has coordinates (u, v) in metres from 0 to its size, so that patterns and light can
-//! be stored on it; `place` and `locate` are inverse to each other.
+//! Every face has texture coordinates (u, v) in metres, from 0 to the size of the face, for
+//! patterns and baked light. `place` maps (u, v) to a point, `locate` is its inverse.
 
 use std::f64::consts::{FRAC_PI_2, PI};
 
 use nalgebra::{Matrix3, Rotation3, Vector3};
 
-/// A half line; points are `origin + t direction`.
+/// A ray, whose points are `origin + t direction`. The direction need not have unit length.
 #[derive(Clone, Copy)]
 pub(crate) struct Ray {
     pub origin: Vector3<f64>,
@@ -21,18 +20,19 @@ impl Ray {
     }
 }
 
-/// What a solid looks like in its own axes, centred at the origin.
+/// The shape of a solid in its local frame, centred at the origin.
 #[derive(Clone, Copy)]
 pub(crate) enum Form {
     /// A box. Faces 0 to 5: -x, +x, -y, +y, -z, +z.
     Block,
-    /// An ellipsoid. Face 0; u is the longitude.
+    /// An ellipsoid. Its only face is 0; u runs along the longitude, v along the latitude.
     Ball,
-    /// A round cone or cylinder along z with these radii at its two ends. Faces: side, bottom, top.
+    /// A circular truncated cone or cylinder along z with these radii at its ends. Faces 0 to 2:
+    /// side, bottom, top.
     Frustum { bottom: f64, top: f64 },
 }
 
-/// A form with its half extents, in its place.
+/// A form with its half extents and its pose in the world.
 #[derive(Clone)]
 pub(crate) struct Solid {
     form: Form,
@@ -42,13 +42,13 @@ pub(crate) struct Solid {
     local_from_world: Matrix3<f64>,
 }
 
-/// A place on a face.
+/// A point on a face.
 pub(crate) struct FacePoint {
-    /// Coordinates on the face, metres, `[0, 0]` to `size`.
+    /// Texture coordinates, metres, from `[0, 0]` to `size`.
     pub uv: [f64; 2],
     /// Extents of the face, metres.
     pub size: [f64; 2],
-    /// Outward unit normal in world axes.
+    /// Outward unit normal in the world frame.
     pub normal: Vector3<f64>,
 }
 
@@ -77,14 +77,14 @@ impl Solid {
         }
     }
 
-    /// Lowest and highest corner of the axis-aligned box around the solid.
+    /// Lowest and highest corner of the axis-aligned bounding box.
     pub fn bounds(&self) -> [Vector3<f64>; 2] {
         let reach = self.world_from_local.abs() * self.half;
         [self.center - reach, self.center + reach]
     }
 
-    /// The first crossing of the surface, from outside or inside, with t in (`t_min`, `t_max`),
-    /// and its face.
+    /// The first intersection with the surface, from outside or inside, with t in (`t_min`,
+    /// `t_max`), as (t, face).
     #[inline]
     pub fn meet(&self, ray: &Ray, t_min: f64, t_max: f64) -> Option<(f64, usize)> {
         let origin = self.local_from_world * (ray.origin - self.center);
@@ -106,7 +106,7 @@ impl Solid {
         }
     }
 
-    /// The point of a face with coordinates `uv`, and its outward normal, in world axes.
+    /// The point at `uv` on a face and its outward unit normal, in the world frame.
     pub fn place(&self, face: usize, [u, v]: [f64; 2]) -> (Vector3<f64>, Vector3<f64>) {
         let half = &self.half;
         let (point, normal) = match self.form {
@@ -147,7 +147,7 @@ impl Solid {
         )
     }
 
-    /// The face coordinates of a point on a face.
+    /// Texture coordinates and normal at a world point on a face.
     pub fn locate(&self, face: usize, point: &Vector3<f64>) -> FacePoint {
         let half = &self.half;
         let p = self.local_from_world * (point - self.center);
@@ -207,8 +207,8 @@ impl Solid {
     }
 }
 
-/// The axis of u with its sign, and the axis of v, of a block's face: seen from outside, u points
-/// right and v up.
+/// Texture axes of a block's face: the axis of u, its sign, and the axis of v. Seen from outside,
+/// u points right and v up.
 fn block_axes(face: usize) -> (usize, f64, usize) {
     match face {
         0 => (1, -1.0, 2),
@@ -220,7 +220,7 @@ fn block_axes(face: usize) -> (usize, f64, usize) {
     }
 }
 
-/// Where the line enters and leaves a block: the slab method.
+/// Where a line enters and leaves a block, by the slab method.
 #[inline]
 fn meet_block(
     half: &Vector3<f64>,
@@ -240,7 +240,8 @@ fn meet_block(
         } else {
             (high, low)
         };
-        // A NaN (in the face's plane, along it) fails the comparison and is left out.
+        // 0 / 0 arises for a line that lies in the plane of a face. Comparisons with NaN are false,
+        // so that slab then imposes no bound.
         if near.0 > enter.0 {
             enter = near;
         }
@@ -251,7 +252,7 @@ fn meet_block(
     (enter.0 < leave.0).then_some([enter, leave])
 }
 
-/// Where the line enters and leaves an ellipsoid: a quadratic in the space where it is round.
+/// Where a line enters and leaves an ellipsoid: a quadratic, after scaling it to the unit sphere.
 fn meet_ball(
     half: &Vector3<f64>,
     origin: &Vector3<f64>,
@@ -262,7 +263,8 @@ fn meet_ball(
     Some(roots.map(|t| (t, 0)))
 }
 
-/// Where the line crosses a capped cone; infinity for crossings there are none of.
+/// Intersections of a line with the side (twice) and the two caps of a truncated cone; infinity
+/// for a miss.
 fn meet_frustum(
     bottom: f64,
     top: f64,
@@ -271,7 +273,7 @@ fn meet_frustum(
     d: &Vector3<f64>,
 ) -> [(f64, usize); 4] {
     const NONE: f64 = f64::INFINITY;
-    // The side is x^2 + y^2 = r(z)^2 with r(z) = middle + slope z.
+    // The side is x^2 + y^2 = r(z)^2 with r(z) = (bottom + top) / 2 + slope z.
     let slope = (top - bottom) / (2.0 * half_height);
     let radius = 0.5 * (bottom + top) + slope * o.z;
     let roots = quadratic(
@@ -301,10 +303,10 @@ fn meet_frustum(
     ]
 }
 
-/// Roots of a t^2 + 2 b t + c, the lower first.
+/// Real roots of a t^2 + 2 b t + c in ascending order.
 fn quadratic(a: f64, b: f64, c: f64) -> Option<[f64; 2]> {
     let discriminant = b * b - a * c;
-    // Written so that NaN and a = 0 give no roots.
+    // Negated so that NaN, like a = 0, yields no roots.
     if !(discriminant > 0.0 && a != 0.0) {
         return None;
     }

@@ -1,7 +1,7 @@
-//! The way of a hand-held camera through a row of rooms: past the middle of each, looking round it,
-//! and straight through the doorways, looking ahead.
+//! The path of a hand-held camera through a row of rooms. It passes beside the middle of each room
+//! while looking around, and goes straight through the doorways while looking ahead.
 //!
-//! Everything is a smooth function of the way gone along x, which is walked at an even pace.
+//! The nominal path is a smooth function of x, which advances at constant speed.
 
 use std::f64::consts::PI;
 
@@ -11,18 +11,19 @@ use rand_pcg::Pcg64Mcg;
 
 use crate::path::Hand;
 
-/// Distance of start and end from the middles of the first and last room, metres.
+/// How far before the middle of the first room the walk starts, and beyond the middle of the last
+/// it ends, metres.
 const END_M: f64 = 1.2;
 
-/// A walk from the first room of a row to its last.
+/// A camera path from the first room of a row to the last.
 pub(crate) struct Walk {
-    /// x where each room begins, and where the last ends.
+    /// x where each room begins, and where the last one ends, metres.
     thresholds: Vec<f64>,
     hand: Hand,
 }
 
 impl Walk {
-    /// The walk of a seed through rooms between these thresholds.
+    /// The walk generated from a seed, through the rooms between these thresholds.
     pub fn new(seed: u64, thresholds: &[f64]) -> Self {
         Self {
             thresholds: thresholds.to_vec(),
@@ -30,12 +31,13 @@ impl Walk {
         }
     }
 
-    /// The pose after a share of the way, 0 to 1. World axes: z up.
+    /// The pose after a fraction of the walk, 0 to 1. World frame: z up, metres.
     pub fn world_from_camera(&self, share: f64) -> Se3 {
-        /// How far the way bends round the middle of a room, metres: as the loop in one room does.
+        /// How far the path bends sideways around the middle of a room, metres, as the loop in a
+        /// single room does.
         const BEND_M: f64 = 0.95;
-        /// How far the view turns across the room and back, rad: beside the middle of the room it
-        /// faces the opposite wall, and some of what lies behind.
+        /// How far the camera yaws across the room and back, rad: beside the middle of the room it
+        /// faces the opposite wall and sees some of what lies back along the path.
         const SWEEP: f64 = 2.2;
         let share = share.clamp(0.0, 1.0);
         let rooms = self.thresholds.len() - 1;
@@ -45,9 +47,9 @@ impl Walk {
         let doorways_behind = self.thresholds[1..rooms].iter().filter(|door| **door <= x);
         let room = doorways_behind.count();
         let (from, to) = (self.thresholds[room], self.thresholds[room + 1]);
-        // 0 at the doorways, where it does not change either, and 1 beside the middle.
+        // 0 with zero slope at the doorways, 1 beside the middle.
         let inside = (PI * (x - from) / (to - from)).sin().powi(2);
-        // To the left of one room's middle, to the right of the next.
+        // Passes the middles of successive rooms on alternating sides.
         let side = if room % 2 == 0 { 1.0 } else { -1.0 };
         let position = [x, -side * BEND_M * inside];
         (self.hand).world_from_camera(share * rooms as f64, position, side * SWEEP * inside)
@@ -72,7 +74,7 @@ mod tests {
             .collect()
     }
 
-    /// Whether nothing lies on the straight line between two points.
+    /// Whether the line segment between two points is unobstructed.
     fn is_free(room: &Room, from: Vector3<f64>, to: Vector3<f64>) -> bool {
         let ray = Ray {
             origin: from,
@@ -90,7 +92,7 @@ mod tests {
             for pair in poses.windows(2) {
                 let [from, to] = [pair[0].translation, pair[1].translation];
                 assert!(is_free(&room, from, to), "{from} to {to}");
-                // Directions spread over the sphere by the golden angle.
+                // A Fibonacci lattice of directions over the sphere.
                 for i in 0..200 {
                     let z = (f64::from(i) + 0.5) / 100.0 - 1.0;
                     let (sin, cos) = (2.399_963 * f64::from(i)).sin_cos();
@@ -104,7 +106,7 @@ mod tests {
             }
             println!("seed {seed}: at least {nearest:.2} m from everything");
             assert!(nearest >= 0.25, "{nearest}");
-            // From one end to the other.
+            // The walk spans the first room to the last.
             let [first, last] = [poses[0], poses[FRAMES - 1]].map(|pose| pose.translation.x);
             assert!(first >= room.thresholds()[0] && first < room.thresholds()[1]);
             assert!(last > room.thresholds()[ROOMS - 1] && last <= room.thresholds()[ROOMS]);
@@ -149,7 +151,7 @@ mod tests {
                 let turn = first.rotation.angle().to_degrees();
                 degrees += turn;
                 assert!(first.translation.norm() <= 0.04 && turn <= 4.0);
-                // As in one room: 4 m/s^2 and 250 degrees/s^2 at most.
+                // As in a single room: at most 4 m/s^2 and 250 degrees/s^2.
                 let change = (first.inverse() * second).log();
                 assert!(change.fixed_rows::<3>(3).norm() <= 4.0 / 900.0);
                 assert!(change.fixed_rows::<3>(0).norm().to_degrees() <= 250.0 / 900.0);

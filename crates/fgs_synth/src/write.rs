@@ -1,6 +1,7 @@
-//! Recordings on disk, in the layouts of the TUM RGB-D and Replica data sets.
+//! Writes sequences to disk in the layouts of the TUM RGB-D and Replica data sets.
 //!
-//! A folder appears under its name only when it is complete.
+//! A folder gets its final name only once it is complete, so a partial recording is never mistaken
+//! for a whole one.
 
 use std::fs;
 use std::io::{self, BufWriter, Write};
@@ -16,42 +17,43 @@ use thiserror::Error;
 
 use crate::Sequence;
 
-/// Depth units per metre of the TUM RGB-D data set.
+/// Depth scale of the TUM RGB-D data set, units per metre.
 const TUM_DEPTH_SCALE: f64 = 5000.0;
-/// Depth units per metre of the Replica data set.
+/// Depth scale of the Replica data set, units per metre.
 const REPLICA_DEPTH_SCALE: f64 = 6553.5;
-/// Quality of Replica's colour images.
+/// JPEG quality of the colour images in the Replica layout.
 const JPEG_QUALITY: u8 = 95;
 
-/// Why a recording was not written. Nothing is left behind.
+/// Why a recording was not written. No partial output is left behind.
 #[derive(Debug, Error)]
 #[non_exhaustive]
 pub enum SynthError {
-    /// Existing files are never touched.
+    /// The target exists already; existing files are never touched.
     #[error("{} exists already", path.display())]
     Exists {
-        /// The folder to be written.
+        /// The folder that was to be written.
         path: PathBuf,
     },
-    /// The system refused (no room, no permission, ...).
+    /// Writing failed (disk full, no permission, ...).
     #[error("cannot write {}: {source}", path.display())]
     Io {
-        /// The file or folder.
+        /// The file or folder concerned.
         path: PathBuf,
-        /// What the system said.
+        /// The underlying error.
         source: io::Error,
     },
-    /// `progress` asked to stop.
+    /// The `progress` callback asked to stop.
     #[error("stopped after {frames} frames")]
     Stopped {
-        /// Frames that had been written.
+        /// Number of frames written by then.
         frames: usize,
     },
 }
 
-/// Writes `rgb/*.png`, `depth/*.png` (5000 units a metre), `rgb.txt`, `depth.txt`,
-/// `groundtruth.txt` and `camera.toml` to the new folder `dir`. After each frame `progress` is told
-/// how many are done and may stop the work.
+/// Writes a sequence in the layout of TUM RGB-D to the new folder `dir`: `rgb/*.png`,
+/// `depth/*.png` (5000 units per metre), `rgb.txt`, `depth.txt`, `groundtruth.txt` and
+/// `camera.toml`. `progress` is called after each frame with the number of frames done and may stop
+/// the export.
 ///
 /// # Errors
 /// See [`SynthError`].
@@ -90,9 +92,10 @@ pub fn write_tum(
     recording.finish()
 }
 
-/// Writes `results/frameNNNNNN.jpg`, `results/depthNNNNNN.png` (6553.5 units a metre), `traj.txt`
-/// (camera to world, 16 numbers a line, row-major) and `camera.toml` to the new folder `dir`.
-/// After each frame `progress` is told how many are done and may stop the work.
+/// Writes a sequence in the layout of Replica to the new folder `dir`: `results/frameNNNNNN.jpg`,
+/// `results/depthNNNNNN.png` (6553.5 units per metre), `traj.txt` (one camera-to-world matrix per
+/// line, 16 numbers, row-major) and `camera.toml`. `progress` is called after each frame with the
+/// number of frames done and may stop the export.
 ///
 /// # Errors
 /// See [`SynthError`].
@@ -154,13 +157,13 @@ fn encode_png_color(color: &Image<[u8; 3]>, file: &mut dyn Write) -> image::Imag
     )
 }
 
-/// Depths beyond 65535 units become 0; a room is smaller.
+/// Depths that exceed 16 bits (65535 units) are written as 0, that is, missing. A room is smaller.
 fn encode_depth(depth_m: &Image<f32>, scale: f64, file: &mut dyn Write) -> image::ImageResult<()> {
     let units = |depth: &f32| {
         let units = (f64::from(*depth) * scale).round();
         if units <= 65535.0 { units as u16 } else { 0 }
     };
-    // The encoder takes 16-bit values in the machine's byte order.
+    // The encoder expects 16-bit values in native byte order.
     let bytes: Vec<u8> = (depth_m.data().iter())
         .flat_map(|depth| units(depth).to_ne_bytes())
         .collect();
@@ -191,7 +194,7 @@ fn encode_jpeg(color: &Image<[u8; 3]>, file: &mut dyn Write) -> image::ImageResu
     )
 }
 
-/// A recording that is being written.
+/// A recording in progress: written to a temporary folder beside `target`.
 struct Recording<'a> {
     target: &'a Path,
     folder: NewFolder,

@@ -1,5 +1,5 @@
-//! What a recording promises: exact poses and depth, matt surfaces, repeatability, and views that
-//! fix every direction of motion.
+//! Properties of a sequence: exact poses and depth, Lambertian surfaces, reproducibility, and views
+//! that constrain all six degrees of freedom of the camera's motion.
 
 #![allow(clippy::unwrap_used)] // Clippy's leave for tests stops at statics and helpers.
 
@@ -10,13 +10,13 @@ use fgs_synth::{SensorModel, Sequence, kinect_camera};
 use nalgebra::{Matrix6, SymmetricEigen, Vector2, Vector3, Vector6};
 use rayon::ThreadPoolBuilder;
 
-/// Rooms of three seeds, filmed exactly by a small camera with unequal sides.
+/// Rooms of three seeds, seen by an ideal sensor with few pixels and a non-square image.
 static SEQUENCES: LazyLock<[Sequence; 3]> = LazyLock::new(|| {
     let camera = kinect_camera(160, 112).unwrap();
     [0, 1, 2].map(|seed| Sequence::new(seed, 300, camera, SensorModel::exact()))
 });
 
-/// Value between four pixels; `None` outside.
+/// Bilinear interpolation between four pixels; `None` outside the image.
 fn bilinear(at: impl Fn(usize, usize) -> Option<f64>, pixel: &Vector2<f64>) -> Option<f64> {
     if pixel.min() < 0.0 {
         return None;
@@ -33,7 +33,8 @@ fn median(mut values: Vec<f64>) -> f64 {
     values[values.len() / 2]
 }
 
-/// Calls `compare` for every pixel of `a` with its depth in `b`'s axes and its place in `b`.
+/// Reprojects `a` into `b`: calls `compare` for every pixel of `a` that is visible to `b`'s camera,
+/// with its depth in `b`'s camera frame and its pixel coordinates in `b`.
 fn for_each_seen(
     a: &RgbdFrame,
     b: &RgbdFrame,
@@ -98,7 +99,8 @@ fn surfaces_look_the_same_from_elsewhere() {
     }
 }
 
-/// The share of information in the least constrained direction of point-to-plane registration.
+/// Smallest eigenvalue of the normalised point-to-plane ICP Hessian: how well the view constrains
+/// the least constrained direction of motion.
 fn weakest_direction(frame: &RgbdFrame) -> f64 {
     let camera = &frame.camera;
     let point = |u: usize, v: usize| {
@@ -110,7 +112,7 @@ fn weakest_direction(frame: &RgbdFrame) -> f64 {
         for u in (0..camera.width - 1).step_by(2) {
             let p = point(u, v);
             let (right, down) = (point(u + 1, v) - p, point(u, v + 1) - p);
-            // Not across edges.
+            // Skip normals that would span a depth edge.
             if right.norm().max(down.norm()) < 0.1 * p.z {
                 rows.push((p, right.cross(&down).normalize()));
             }
@@ -144,7 +146,7 @@ fn views_fix_all_directions_and_keep_their_distance() {
                 .fold(farthest, f32::max);
         }
         println!("seed {seed}: weakest {weakest:.4}, depth {nearest:.2} to {farthest:.2} m");
-        // A single plane has 0, a corner of three about 0.1.
+        // A single plane gives 0, a corner of three planes about 0.1.
         assert!(weakest >= 0.005, "{weakest}");
         assert!(nearest >= 0.5, "{nearest}");
         assert!(farthest <= 8.0, "{farthest}");
@@ -161,7 +163,7 @@ fn a_walk_through_rooms_shows_enough_everywhere() {
         let frame = walk.frame(i);
         weakest = weakest.min(weakest_direction(&frame));
         let depths = frame.depth_m.data();
-        // Within a Kinect's reach.
+        // Within a Kinect's depth range.
         let usable = depths.iter().filter(|z| (0.4..=5.0).contains(*z)).count();
         assert!(2 * usable >= depths.len(), "frame {i}: {usable} pixels");
         let light = mean_difference(&frame.color, &Image::filled(160, 112, [0; 3]));
@@ -183,7 +185,7 @@ fn mean_difference(a: &Image<[u8; 3]>, b: &Image<[u8; 3]>) -> f64 {
     sum as f64 / a.len() as f64
 }
 
-/// A pixel shows the mean of what lies in it, not a point of it.
+/// A pixel holds the mean over its area, not a point sample.
 #[test]
 fn colour_is_anti_aliased() {
     let sequence = |width, height| {
@@ -191,7 +193,7 @@ fn colour_is_anti_aliased() {
         SEQUENCES[1].with_camera(camera).frame(90).color
     };
     let (small, large) = (sequence(80, 60), sequence(640, 480));
-    // Light adds up, not its code.
+    // Average linear intensities, not the gamma-encoded values.
     let light = |code: u8| (f64::from(code) / 255.0).powf(2.2);
     let mean = Image::from_fn(80, 60, |u, v| {
         [0, 1, 2].map(|channel| {
@@ -255,7 +257,7 @@ fn a_kinect_is_noisy_blurs_and_misses_depth() {
     assert!((0.6..0.97).contains(&valid), "{valid}");
     let error = median(errors);
     assert!((0.002..0.02).contains(&error), "{error}");
-    // Another frame has other noise and the same frame the same.
+    // Noise differs between frames, but rendering the same frame again repeats it.
     assert_eq!(kinect.frame(40).depth_m, seen.depth_m);
 
     let blurred = exact.with_sensor(SensorModel {

@@ -1,4 +1,4 @@
-//! Recordings on disk: the files, their contents, and that nothing half-written stays.
+//! Recordings on disk: the files, their contents, and that no partial recording stays behind.
 
 #![allow(clippy::unwrap_used)] // Clippy's leave for tests stops at statics and helpers.
 
@@ -18,7 +18,7 @@ fn go_on(_: usize) -> ControlFlow<()> {
     ControlFlow::Continue(())
 }
 
-/// All files below a folder, relative to it, sorted.
+/// All files under a folder, as sorted relative paths.
 fn files(dir: &Path) -> Vec<String> {
     let mut found = Vec::new();
     let mut folders = vec![PathBuf::new()];
@@ -36,7 +36,7 @@ fn files(dir: &Path) -> Vec<String> {
     found
 }
 
-/// The depth file holds the frame's depth to half a unit.
+/// Asserts that the depth file holds the frame's depth, rounded to the nearest unit.
 fn check_depth(path: &Path, index: usize, scale: f64) {
     let units = image::open(path).unwrap().into_luma16();
     let depth = SEQUENCE.frame(index).depth_m;
@@ -162,7 +162,7 @@ fn nothing_stays_of_a_stopped_or_failed_recording() {
     );
     assert_eq!(fs::read_dir(parent.path()).unwrap().count(), 0);
 
-    // Someone takes the folder away half-way.
+    // The folder is deleted while the export is running.
     let sabotage = |_| {
         for entry in fs::read_dir(parent.path()).unwrap() {
             fs::remove_dir_all(entry.unwrap().path()).unwrap();
