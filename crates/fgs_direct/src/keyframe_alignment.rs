@@ -1,10 +1,11 @@
-//! Photometric alignment: the pose at which an image shows the points of some keyframes as bright as
-//! the keyframes do.
+//! Photometric alignment: the pose that minimises the photometric residuals between an image and
+//! the points of several keyframes.
 //!
-//! Residual of a point: `I(pi(p)) - gain I_ref - offset`; gain and offset belong to the pair of
-//! images, since exposure changes. Gauss-Newton over the pose with iteratively reweighted squares
-//! (Student's t), from the coarsest level to the finest. What is known of the pose from elsewhere,
-//! geometry, enters as a Gaussian: `e^T information e`, `e = log(prior^-1 pose)`.
+//! Residual of a point: `I(pi(p)) - gain I_ref - offset`. Gain and offset are estimated for each
+//! pair of image and keyframe, since the exposure changes. Gauss-Newton over the pose with
+//! iteratively reweighted least squares (Student's t), from the coarsest pyramid level to the
+//! finest. Prior knowledge of the pose, for example from geometric registration, enters as a
+//! Gaussian: `e^T information e`, `e = log(prior^-1 pose)`.
 
 use fgs_geom::Se3;
 use nalgebra::{Matrix2, Matrix2x6, Matrix6, Vector2, Vector6};
@@ -12,61 +13,62 @@ use nalgebra::{Matrix2, Matrix2x6, Matrix6, Vector2, Vector6};
 use crate::residual::brightness;
 use crate::{IntensityImage, IntensityPyramid, Reference, ReferencePoint};
 
-/// Degrees of freedom of the residuals' distribution, as measured on RGB-D cameras (Kerl, Sturm and
-/// Cremers, ICRA 2013).
+/// Degrees of freedom of the t distribution of photometric residuals, as measured on RGB-D cameras
+/// (Kerl, Sturm and Cremers, ICRA 2013).
 const STUDENT_T: f64 = 5.0;
 
-/// Quantisation to 8 bits alone gives residuals of this size.
+/// Quantisation to 8 bits alone causes residuals of this size.
 const MIN_NOISE: f64 = 1.0 / 255.0;
 
-/// Per level.
+/// Maximum number of steps per pyramid level.
 const MAX_ITERATIONS: usize = 8;
 
-/// Steps below these are not worth another look at the points.
+/// Converged when rotation and translation of a step are below these.
 const ROTATION_EPSILON_RAD: f64 = 1e-5;
 const TRANSLATION_EPSILON_M: f64 = 1e-5;
 
-/// With fewer points the noise of the residuals cannot be told.
+/// Fewer points do not allow the noise of the residuals to be estimated.
 const MIN_POINTS: usize = 50;
 
-/// How sure it is, before looking, that two images are of one exposure: standard deviations.
+/// Prior standard deviations of gain and offset: how much the exposure may differ between images.
 const GAIN_SIGMA: f64 = 0.2;
 const OFFSET_SIGMA: f64 = 0.1;
 
-/// What is known of the pose from elsewhere.
+/// Prior on the pose, from another source.
 #[derive(Clone, Copy, Debug)]
 pub struct PosePrior {
-    /// The most likely pose.
+    /// Mean of the prior.
     pub world_from_camera: Se3,
-    /// Inverse covariance under perturbations from the right, `[omega, v]`.
+    /// Information matrix of the prior for right perturbations, `[omega, v]`.
     pub information: Matrix6<f64>,
 }
 
 /// The result of a photometric alignment.
 #[derive(Clone, Debug)]
 pub struct PhotometricAlignment {
-    /// The pose.
+    /// Estimated pose.
     pub world_from_camera: Se3,
-    /// Inverse covariance of the pose by the points' brightness alone, `[omega, v]`.
+    /// Information matrix of the pose from the photometric residuals alone, without the prior,
+    /// `[omega, v]`.
     pub information: Matrix6<f64>,
-    /// Standard deviation of a residual at the finest level, brightness from 0 to 1.
+    /// Standard deviation of the residuals at the finest level, brightness from 0 to 1.
     pub noise: f64,
-    /// Number of points compared at the finest level.
+    /// Number of points used at the finest level.
     pub points: usize,
 }
 
-/// A keyframe's points and its pose.
+/// Points and pose of a keyframe.
 #[derive(Clone, Copy)]
 pub struct PosedReference<'a> {
-    /// The points.
+    /// Points of the keyframe.
     pub reference: &'a Reference,
-    /// Where the keyframe was taken.
+    /// Pose of the keyframe.
     pub world_from_reference: Se3,
 }
 
-/// Aligns an image with keyframes, over the pyramid's levels from the coarsest to `finest`. Starts at
-/// the prior's pose. Levels where fewer than 50 points can be compared are left out; `None` if none
-/// is left.
+/// Aligns an image with keyframes, over the pyramid levels from the coarsest to `finest`, starting
+/// at the pose of the prior. Levels with fewer than 50 visible points are skipped; `None` if all
+/// are.
 pub fn align_with_keyframes(
     image: &IntensityPyramid,
     references: &[PosedReference],
@@ -141,7 +143,8 @@ impl Default for Exposure {
     }
 }
 
-/// The normal equations of gain and offset, given the pose's step.
+/// Normal equations of gain and offset. They are solved by back-substitution once the step of the
+/// pose is known.
 struct ExposureSystem {
     inverse_hessian: Matrix2<f64>,
     gradient: Vector2<f64>,
@@ -156,7 +159,8 @@ impl Exposure {
     }
 }
 
-/// Calls `visit` with each point's brightness in the reference, in the image, and its derivative.
+/// Calls `visit` for each visible point with its brightness in the reference, its brightness in the
+/// image, and the derivative of the latter with respect to the pose.
 fn for_each_point(
     image: &IntensityImage,
     pair: &Pair,
@@ -173,7 +177,7 @@ fn for_each_point(
     }
 }
 
-/// The residuals' standard deviation, from their median absolute value.
+/// Standard deviation of the residuals, from their median absolute value.
 fn noise(
     image: &IntensityImage,
     pairs: &[Pair],
@@ -194,7 +198,7 @@ fn noise(
     Some((1.4826 * *median).max(MIN_NOISE))
 }
 
-/// The normal equations, gains and offsets eliminated (Schur complement).
+/// Normal equations of the pose, with gains and offsets eliminated (Schur complement).
 struct System {
     information: Matrix6<f64>,
     gradient: Vector6<f64>,
@@ -235,7 +239,7 @@ impl System {
                 by_pose += affine * weighted.transpose();
                 system.points += 1;
             });
-            // The prior makes it invertible.
+            // The prior makes the matrix invertible.
             let inverse_hessian = by_exposure.try_inverse().unwrap_or_else(Matrix2::zeros);
             let eliminated = by_pose.transpose() * inverse_hessian;
             system.information -= eliminated * by_pose;
@@ -261,7 +265,7 @@ mod tests {
         Se3::exp(&Vector6::new(0.01, -0.015, 0.008, 0.02, -0.01, 0.015))
     }
 
-    /// The pose found for a frame at [`offset`] from a keyframe at the origin.
+    /// The alignment of a frame at [`offset`] with a keyframe at the origin.
     fn found(scene: &Scene, gain: f64, brighter: f64, prior: &PosePrior) -> PhotometricAlignment {
         let keyframe = scene.frame(&Se3::identity(), 1.0, 0.0);
         let pyramid = IntensityPyramid::of_frame(&keyframe, LEVELS);
@@ -288,7 +292,8 @@ mod tests {
 
     #[test]
     fn a_painted_wall_holds_all_six_directions() {
-        // Geometry alone says nothing of three of them. Pixels are 15 mm at 2 m.
+        // Geometry alone leaves three directions of the bare wall unconstrained. A pixel covers 15
+        // mm at 2 m.
         for with_floor in [false, true] {
             let alignment = found(&Scene::new(3, with_floor), 1.0, 0.0, &unknown());
             let error = error(&alignment.world_from_camera);
@@ -330,14 +335,15 @@ mod tests {
 
     #[test]
     fn the_information_predicts_the_error() {
-        // Noise of the images is that of rounding to bytes, known: errors of 30 scenes against it.
+        // The image noise is known: rounding to bytes. The errors of 30 scenes are compared with
+        // it.
         let mut normalized = 0.0;
         for seed in 0..30 {
             let alignment = found(&Scene::new(20 + seed, true), 1.0, 0.0, &unknown());
             let error = (alignment.world_from_camera.inverse() * offset()).log();
             normalized += (error.transpose() * alignment.information * error)[0] / 6.0;
         }
-        // Bilinear interpolation of curved paint adds errors that are not noise.
+        // Bilinear interpolation of a curved texture adds systematic errors.
         assert!(
             (0.05..20.0).contains(&(normalized / 30.0)),
             "{}",
