@@ -1,67 +1,71 @@
-//! When the depth image was measured, from the motions of both sensors.
+//! Time offset between depth and colour images, estimated from the motions of both sensors.
 //!
-//! Input: pairs of frames whose motion was measured twice, by their depth images alone and by their
-//! colour images. Output: the delay for which both are the motion of one rigid body. Gauss-Newton
-//! with the weights of a multivariate Student's t distribution, whose covariance is estimated along
-//! with it: registration errs in some directions ten times as much as in others.
+//! Input: pairs of frames whose relative motion was measured twice, by registering their depth
+//! images and by aligning their colour images. Output: the delay for which both are motions of the
+//! same rigid body. Gauss-Newton with robust weights from a multivariate Student's t distribution.
+//! Its covariance is estimated jointly, since registration errors are up to ten times larger in
+//! some directions than in others.
 //!
-//! The sensors' places relative to each other are taken as given. They show in the motions only as
-//! far as the camera turns between the frames (hand-eye calibration): an image shifted by a pixel
-//! changes a motion of ten degrees by a sixth of a pixel, less than registration's bias.
+//! The extrinsics between the sensors are taken as given. The motions constrain them only as far as
+//! the camera rotates between the frames (hand-eye calibration): an image shift of one pixel
+//! changes a motion of ten degrees by a sixth of a pixel, which is less than the bias of
+//! registration.
 
 use fgs_geom::{DepthSensor, Se3, skew};
 use nalgebra::{Matrix6, Vector6};
 
-/// Gauss-Newton's steps; five are usual, and some dozens where a few motions could be outliers.
+/// Maximum number of Gauss-Newton steps. Five are typical; some dozens are needed where it is
+/// unclear whether a few motions are outliers.
 const MAX_ITERATIONS: usize = 100;
 
-/// Converged when the delay changes by less, seconds.
+/// Converged when the delay changes by less than this, seconds.
 const MAX_LAST_STEP: f64 = 1e-6;
 
-/// Degrees of freedom of Student's distribution. With fewer, the fastest motions, which say most
-/// about the delay but are measured worst, are taken for outliers.
+/// Degrees of freedom of Student's t distribution. With fewer, the fastest motions are treated as
+/// outliers: they carry most information about the delay but have the largest errors.
 const STUDENT: f64 = 10.0;
 
-/// The covariance is re-estimated so often per step.
+/// Number of updates of the covariance per step.
 const COVARIANCE_ITERATIONS: usize = 5;
 
-/// Registration is not better than this, rad and metres.
+/// Lower bound on the registration error, rad and metres.
 const MIN_NOISE: f64 = 1e-5;
 
-/// Errors of motions close in time are not independent of one another, those of so many parts of the
-/// recording are.
+/// Number of blocks of the recording for the standard error. Errors of motions close in time are
+/// correlated; those of such large blocks are taken as independent.
 const BLOCKS: usize = 6;
 
-/// Fewer motions say nothing: the covariance of their errors alone is 21 numbers.
+/// Minimum number of motions: the covariance of their errors alone has 21 parameters.
 const MIN_MOTIONS: usize = 15;
 
-/// The motion between two frames, as both sensors saw it.
+/// The motion between two frames, as measured by both sensors.
 #[derive(Clone, Debug)]
 pub struct SensorMotion {
-    /// Between the depth images, in the axes of the depth sensor.
+    /// Motion between the depth images, in the depth sensor frame.
     pub depth_second_from_first: Se3,
-    /// Between the colour images, in the axes of the colour camera.
+    /// Motion between the colour images, in the colour camera frame.
     pub color_second_from_first: Se3,
-    /// The colour camera's twist `[omega, v]` when it took either image, in its axes, rad/s and m/s.
-    /// Where its errors are not far smaller than the differences between frames, the delay is
-    /// underestimated.
+    /// Twist `[omega, v]` of the colour camera at the time of each image, in its own frame, rad/s
+    /// and m/s. Its errors must be far smaller than the change of velocity between the frames,
+    /// otherwise the delay is underestimated.
     pub velocities: [Vector6<f64>; 2],
 }
 
-/// What [`depth_delay`] found.
+/// Result of [`depth_delay`].
 #[derive(Clone, Debug)]
 pub struct DepthDelay {
     /// [`DepthSensor::delay_secs`].
     pub delay_secs: f64,
-    /// Its standard error, from the scatter of parts of the recording, seconds.
+    /// Standard error of the delay, from the scatter between parts of the recording, seconds.
     pub standard_error_secs: f64,
-    /// What the first, second and last third of the motions say alone; `None` if that is too few.
+    /// Estimates from the first, middle and last third of the motions alone; `None` if these are
+    /// too few.
     pub thirds_secs: Option<[f64; 3]>,
 }
 
-/// The delay of a depth sensor at a known place that explains motions in the order of time best; the
-/// search starts at the given delay. `None` for too few motions, and if they do not hold the delay at
-/// all: at rest, and at constant velocity.
+/// The delay of a depth sensor with known extrinsics that best explains the motions, which must be
+/// in temporal order. The search starts at the delay of `given`. `None` if there are too few
+/// motions or if they do not constrain the delay at all, as at rest and at constant velocity.
 pub fn depth_delay(motions: &[SensorMotion], given: &DepthSensor) -> Option<DepthDelay> {
     let (delay_secs, standard_error_secs) = fit(motions, given)?;
     let third = |i: usize| {
@@ -86,8 +90,8 @@ pub fn depth_delay(motions: &[SensorMotion], given: &DepthSensor) -> Option<Dept
     })
 }
 
-/// How far a prediction is from the measured motion of the colour camera, and its derivative by the
-/// delay.
+/// Residual between predicted and measured motion of the colour camera, and its derivative with
+/// respect to the delay.
 struct Row {
     residual: Vector6<f64>,
     by_delay: Vector6<f64>,
@@ -128,9 +132,9 @@ fn fit(motions: &[SensorMotion], given: &DepthSensor) -> Option<(f64, f64)> {
     None
 }
 
-/// With `X_i = exp(delay w_i) color_from_depth`, the colour camera should move by `X_2 D X_1^-1` where
-/// the depth sensor moves by `D`. The residual is the left perturbation that is left over; the
-/// derivative is exact where that is zero.
+/// With `X_i = exp(delay w_i) color_from_depth`, the colour camera should move by `X_2 D X_1^-1`
+/// when the depth sensor moves by `D`. The residual is the left perturbation between prediction and
+/// measurement; the derivative is exact where the residual is zero.
 fn row(motion: &SensorMotion, sensor: &DepthSensor) -> Row {
     let [first, second] = motion.velocities.map(|w| sensor.color_from_depth(&w));
     let predicted = second * motion.depth_second_from_first * first.inverse();
@@ -141,7 +145,7 @@ fn row(motion: &SensorMotion, sensor: &DepthSensor) -> Row {
     }
 }
 
-/// The residuals' weighted mean square, and the least noise.
+/// Weighted second moment of the residuals, plus the noise floor.
 fn scatter(rows: &[Row], weight: impl Fn(&Vector6<f64>) -> f64) -> Matrix6<f64> {
     let squares = rows
         .iter()
@@ -163,7 +167,7 @@ fn student_weight(residual: &Vector6<f64>, information: &Matrix6<f64>) -> f64 {
     (STUDENT + 6.0) / (STUDENT + residual.dot(&(information * residual)))
 }
 
-/// The matrix that takes a twist `[omega, v]` in the axes of `b` to those of `a`.
+/// Adjoint: transforms a twist `[omega, v]` from frame `b` to frame `a`.
 fn adjoint(a_from_b: &Se3) -> Matrix6<f64> {
     let rotation = *a_from_b.rotation.to_rotation_matrix().matrix();
     let mut adjoint = Matrix6::zeros();

@@ -7,10 +7,10 @@ use super::*;
 
 const RATE_HZ: f64 = 30.0;
 
-/// Seconds of motion.
+/// Duration of the motion.
 const DURATION_SECS: f64 = 10.0;
 
-/// A hand-held camera that turns and moves about all axes, up to 0.7 rad/s and 0.4 m/s.
+/// A hand-held camera that rotates and translates about all axes, up to 0.7 rad/s and 0.4 m/s.
 fn walk(t: f64) -> Se3 {
     Se3::exp(&Vector6::new(
         0.20 * (2.0 * t).sin(),
@@ -33,7 +33,7 @@ fn sensor(delay_secs: f64, tangent: [f64; 6]) -> DepthSensor {
     }
 }
 
-/// What both sensors measure, with errors of `noise` rad and metres.
+/// The measurements of both sensors, with errors of `noise` rad and metres.
 fn motions(pose: &dyn Fn(f64) -> Se3, truth: &DepthSensor, noise: f64) -> Vec<SensorMotion> {
     let mut random = Pcg64::seed_from_u64(5);
     let world_from_depth = |t: f64| pose(t + truth.delay_secs) * truth.color_from_depth;
@@ -63,7 +63,8 @@ fn the_delay_is_found() {
                 ..truth
             };
             let found = depth_delay(&motions(&walk, &truth, 0.0), &given).unwrap();
-            // Velocities change within the delay: by 2 rad/s^2 * delay / 2, 2 % of 0.7 rad/s.
+            // The velocity changes within the delay: by 2 rad/s^2 * delay / 2, that is 2 % of 0.7
+            // rad/s.
             let error = (found.delay_secs - delay_secs).abs();
             assert!(error <= 1e-6 + 0.01 * delay_secs.abs(), "{error}");
             for third in found.thirds_secs.unwrap() {
@@ -79,12 +80,12 @@ fn standard_errors_tell_the_error() {
     let given = DepthSensor::default();
     let exact = depth_delay(&motions(&walk, &truth, 0.0), &given).unwrap();
     let noisy = depth_delay(&motions(&walk, &truth, 0.002), &given).unwrap();
-    // 300 motions with velocities 0.5 rad/s apart: 0.002 / 0.5 / sqrt(300) = 0.2 ms.
+    // 300 motions with velocity changes of 0.5 rad/s: 0.002 / 0.5 / sqrt(300) = 0.2 ms.
     let expected = 5e-5..6e-4;
     assert!(expected.contains(&noisy.standard_error_secs), "{noisy:?}");
     let error = (noisy.delay_secs - exact.delay_secs).abs();
     assert!(error <= 3.0 * noisy.standard_error_secs, "{error}");
-    // Too few for thirds.
+    // Too few motions to split into thirds.
     let few = depth_delay(&motions(&walk, &truth, 0.002)[..40], &given).unwrap();
     assert!(few.thirds_secs.is_none());
     assert!((3e-4..2e-3).contains(&few.standard_error_secs), "{few:?}");
@@ -105,7 +106,7 @@ fn a_delay_that_drifts_has_a_large_standard_error() {
 #[test]
 fn outliers_do_not_matter() {
     let mut motions = motions(&walk, &sensor(-0.012, [0.0; 6]), 0.0005);
-    // These alone would say 0.1 s.
+    // On their own, these outliers would give 0.1 s.
     for motion in motions.iter_mut().step_by(10) {
         let slip = Se3::exp(&(-0.1 * (motion.velocities[1] - motion.velocities[0])));
         motion.depth_second_from_first = slip * motion.depth_second_from_first;
@@ -160,7 +161,7 @@ fn product(a: &Dual4, b: &Dual4) -> Dual4 {
     })
 }
 
-/// exp of a twist by its series, independent of the closed form.
+/// Exponential of a twist by its series, independent of the closed form.
 fn exp(twist: [Dual64; 6]) -> Dual4 {
     let zero = Dual64::from(0.0);
     let [x, y, z, a, b, c] = twist;
@@ -179,7 +180,7 @@ fn exp(twist: [Dual64; 6]) -> Dual4 {
     sum
 }
 
-/// `X_2 D X_1^-1` with its derivative by the delay.
+/// `X_2 D X_1^-1` with its derivative with respect to the delay.
 fn predicted(motion: &SensorMotion, sensor: &DepthSensor) -> Dual4 {
     let delay = Dual64::from(sensor.delay_secs).derivative();
     let moved = |side: usize, sign: f64| {
@@ -208,11 +209,11 @@ fn the_derivative_is_that_of_dual_numbers() {
     };
     let value = predicted(&motion, &sensor);
     let matrix = Matrix4::from_fn(|i, j| value[i][j].re);
-    // Where the residual is zero.
+    // The derivative is exact only where the residual is zero.
     motion.color_second_from_first = Se3::from_matrix(&matrix).unwrap();
     let Row { residual, by_delay } = row(&motion, &sensor);
     assert!(residual.amax() <= 1e-12, "{residual}");
-    // A left perturbation by the twist t changes M by [t] M.
+    // A left perturbation by the twist t changes M by [t] M to first order.
     let derivative = Matrix4::from_fn(|i, j| value[i][j].eps);
     let twist = derivative * matrix.try_inverse().unwrap();
     let places = [(2, 1), (0, 2), (1, 0), (0, 3), (1, 3), (2, 3)];

@@ -1,9 +1,9 @@
-//! The motion between two colour images, from points of the first whose depth is known.
+//! The relative pose of two colour images, from points of the first with known depth.
 //!
-//! Input: points in the axes of the first camera, and a start. Output: the motion after which the
-//! points are as bright in the second image as in the first, up to a gain and an offset that are
-//! estimated along with it. Gauss-Newton with Cauchy weights at the measured noise, from the
-//! coarsest resolution to the finest.
+//! Input: points in the frame of the first camera and an initial motion. Output: the motion that
+//! minimises the photometric residuals between the two images, estimated jointly with gain and
+//! offset. Gauss-Newton with Cauchy weights scaled by the estimated noise, from the coarsest
+//! pyramid level to the finest.
 
 use fgs_geom::Se3;
 use nalgebra::{Matrix6, SMatrix, SVector, Vector3, Vector6};
@@ -13,42 +13,42 @@ use crate::{IntensityImage, IntensityPyramid};
 type Vector8 = SVector<f64, 8>;
 type Matrix8 = SMatrix<f64, 8, 8>;
 
-/// Steps at the finest resolution. Noise adds to the gradients' squares, so steps are too short; most
-/// images take 5 to 20.
+/// Maximum number of steps at the finest level. Image noise adds to the squared gradients and so
+/// makes the steps too short; most images take 5 to 20.
 const MAX_ITERATIONS: usize = 60;
 
-/// Steps at each of the others, which only provide a start.
+/// Maximum number of steps at each coarser level, which only provides a start for the next.
 const MAX_COARSE_ITERATIONS: usize = 8;
 
-/// Converged when a step turns by less, rad, ...
+/// Converged when the rotation of a step is below this, rad, ...
 const MAX_LAST_TURN: f64 = 1e-4;
 
-/// ... and moves by less, metres. Smaller steps may go to and fro for ever: brightness between pixels
-/// has kinks.
+/// ... and its translation is below this, metres. Smaller steps may oscillate forever, since
+/// bilinear interpolation has kinks.
 const MAX_LAST_SHIFT: f64 = 3e-4;
 
-/// Fewer points than this do not determine motion, gain and offset.
+/// Fewer points do not determine motion, gain and offset reliably.
 const MIN_POINTS: usize = 50;
 
-/// Half a step of 8-bit images: residuals are not smaller than this.
+/// Half a quantisation step of 8-bit images: a floor on the noise of the residuals.
 const MIN_NOISE: f64 = 0.5 / 255.0;
 
-/// Residual of half weight, in standard deviations: 95 % efficient for Gaussian noise.
+/// Residual at which the weight is 1/2, in standard deviations: 95 % efficiency for Gaussian noise.
 const CAUCHY: f64 = 2.385;
 
-/// Where two images agree best.
+/// Result of aligning two images.
 #[derive(Clone, Debug)]
 pub struct ImageAlignment {
-    /// From the axes of the first camera to those of the second.
+    /// Maps the first camera frame to the second.
     pub second_from_first: Se3,
-    /// Its inverse covariance under left perturbations, `[omega, v]` in the second camera's axes (rad,
-    /// metres), if the points' residuals are independent.
+    /// Information matrix for left perturbations, `[omega, v]` in the second camera frame (rad,
+    /// metres), assuming that the residuals of the points are independent.
     pub information: Matrix6<f64>,
     /// Standard deviation of the residuals, brightness from 0 to 1.
     pub noise: f64,
 }
 
-/// Gauss-Newton's normal equations for `[omega, v, gain, offset]`.
+/// Normal equations for `[omega, v, gain, offset]`.
 struct NormalEquations {
     hessian: Matrix8,
     gradient: Vector8,
@@ -62,9 +62,9 @@ struct State {
     offset: f64,
 }
 
-/// Aligns `points`, in the axes of the first camera, with the second image, starting from the motion
-/// `start`. `None` if too few points are seen in both images, if they determine no motion, or if the
-/// search does not settle.
+/// Aligns `points`, given in the first camera frame, with the second image, starting from the
+/// motion `start`. `None` if too few points are visible in both images, if they do not determine
+/// the motion, or if the iteration does not converge.
 pub fn align_images(
     first: &IntensityPyramid,
     second: &IntensityPyramid,
@@ -119,8 +119,8 @@ pub fn align_images(
     })
 }
 
-/// Residual `second - gain * first - offset` of a point that was as bright as `brightness`, and its
-/// derivatives; `None` where the second image does not show it.
+/// Photometric residual `second - gain * first - offset` of a point with brightness `brightness` in
+/// the first image, and its derivatives; `None` if the point is not visible in the second image.
 #[inline]
 fn row(
     point: &Vector3<f64>,
@@ -163,7 +163,7 @@ fn linearize(
     let mut sizes: Vec<f64> = rows.iter().map(|(residual, _)| residual.abs()).collect();
     let middle = sizes.len() / 2;
     let median = *sizes.select_nth_unstable_by(middle, f64::total_cmp).1;
-    // The standard deviation of Gaussian noise with this median.
+    // Standard deviation of Gaussian noise with this median absolute value.
     let noise = (1.4826 * median).max(MIN_NOISE);
     let mut hessian = Matrix8::zeros();
     let mut gradient = Vector8::zeros();

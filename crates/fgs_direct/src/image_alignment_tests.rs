@@ -13,7 +13,8 @@ fn camera() -> Camera {
     Camera::new(160, 120, intrinsics).unwrap()
 }
 
-/// Two planes that meet in an edge: without depth a turn could be taken for a shift.
+/// Two planes that meet at an edge. Without depth variation, a rotation could be mistaken for a
+/// translation.
 fn depth(ray: &Vector3<f64>, origin: &Vector3<f64>) -> f64 {
     [Vector3::new(0.5, 0.1, 1.0), Vector3::new(-0.4, -0.2, 1.0)]
         .map(|normal| (2.0 - normal.dot(origin)) / normal.dot(ray))
@@ -22,7 +23,7 @@ fn depth(ray: &Vector3<f64>, origin: &Vector3<f64>) -> f64 {
         .fold(f64::INFINITY, f64::min)
 }
 
-/// The picture from a pose, and the points that it shows, in the camera's axes.
+/// The image seen from a pose and the points visible in it, in the camera frame.
 fn picture(world_from_camera: &Se3, light: f64) -> (IntensityPyramid, Vec<Vector3<f64>>) {
     let camera = camera();
     let point = |u: usize, v: usize| {
@@ -67,7 +68,7 @@ fn a_motion_of_ten_pixels_and_another_exposure() {
 fn wrong_points_do_not_matter() {
     let (first, mut points) = picture(&Se3::identity(), 1.0);
     let (second, _) = picture(&motion(), 1.0);
-    // A tenth of the points are far from where they should be.
+    // A tenth of the points are outliers: their depth is wrong.
     points
         .iter_mut()
         .step_by(10)
@@ -128,7 +129,7 @@ fn derivatives_are_those_of_dual_numbers() {
                 wz * y.x - wx * y.z + y_ + y.y,
                 wx * y.y - wy * y.x + z + y.z,
             ];
-            // Around the pixel, the image is what its derivatives say.
+            // The image is linearised around the pixel.
             let k = second.camera.intrinsics;
             let u = moved[0] / moved[2] * k.fx + k.cx - pixel.x;
             let v = moved[1] / moved[2] * k.fy + k.cy - pixel.y;

@@ -1,20 +1,20 @@
-//! Brightness images at several resolutions, sampled between pixels with exact derivatives.
+//! Brightness images and their pyramids, sampled at subpixel positions with exact derivatives.
 
 use fgs_geom::{Camera, Image, Intrinsics, RgbdFrame};
 
-/// Luma by the weights of ITU-R BT.601.
+/// Luma weights of ITU-R BT.601.
 const LUMA: [f32; 3] = [0.299, 0.587, 0.114];
 
-/// Brightness of an image, 0 to 1, and its camera. NaN where the camera saw nothing.
+/// Brightness of an image, 0 to 1, with its camera. Invalid pixels are NaN.
 #[derive(Clone, Debug)]
 pub struct IntensityImage {
-    /// The pinhole camera at this resolution.
+    /// Pinhole camera at this resolution.
     pub camera: Camera,
     pixels: Image<f32>,
 }
 
 impl IntensityImage {
-    /// The colour image of a frame at full resolution.
+    /// Converts the colour image of a frame at full resolution.
     pub fn of_frame(frame: &RgbdFrame) -> Self {
         let mut pixels = frame.color.map(|rgb| {
             let weighted = rgb
@@ -36,8 +36,8 @@ impl IntensityImage {
         }
     }
 
-    /// A rendered image, colours from 0 to 1; NaN where `is_seen` is false. Both have the camera's
-    /// size.
+    /// Converts a rendered image with colours from 0 to 1. Pixels where `is_seen` is false become
+    /// NaN. Both images have the size of the camera.
     pub fn of_render(camera: Camera, color: &Image<[f32; 3]>, is_seen: &Image<bool>) -> Self {
         let mut pixels = color.map(|rgb| rgb.iter().zip(LUMA).map(|(c, w)| c * w).sum());
         for (pixel, seen) in pixels.data_mut().iter_mut().zip(is_seen.data()) {
@@ -48,7 +48,8 @@ impl IntensityImage {
         Self { camera, pixels }
     }
 
-    /// Half the size: means of blocks of 2x2 pixels. An odd last row or column is left out.
+    /// Halves the resolution by averaging blocks of 2x2 pixels. An odd last row or column is
+    /// dropped.
     pub fn halved(&self) -> Self {
         let (width, height) = (self.camera.width / 2, self.camera.height / 2);
         let pixels = Image::from_fn(width, height, |u, v| {
@@ -60,7 +61,8 @@ impl IntensityImage {
             camera: Camera {
                 width,
                 height,
-                // The centre of the new pixel 0 lies between the old pixels 0 and 1.
+                // The centre of the new pixel 0 lies midway between those of the old pixels 0 and
+                // 1.
                 intrinsics: Intrinsics {
                     fx: 0.5 * fx,
                     fy: 0.5 * fy,
@@ -77,12 +79,12 @@ impl IntensityImage {
         &self.pixels
     }
 
-    /// Brightness at (u, v) between pixels (bilinear), and its derivatives by u and v, per pixel.
-    /// `None` outside the image and where a neighbour was not seen.
+    /// Bilinearly interpolated brightness at (u, v) and its derivatives with respect to u and v,
+    /// per pixel. `None` outside the image and where one of the four neighbours is invalid.
     #[inline]
     pub fn sample(&self, u: f64, v: f64) -> Option<[f32; 3]> {
         let (width, height) = (self.camera.width, self.camera.height);
-        // Also rejects NaN.
+        // Written so that NaN is rejected too.
         let inside = u >= 0.0 && v >= 0.0 && u < width as f64 - 1.0 && v < height as f64 - 1.0;
         if !inside {
             return None;
@@ -99,21 +101,22 @@ impl IntensityImage {
     }
 }
 
-/// A brightness image at full, half, quarter, ... resolution.
+/// Image pyramid: brightness at full, half, quarter, ... resolution.
 #[derive(Clone, Debug)]
 pub struct IntensityPyramid {
-    /// The images, the finest first.
+    /// The images, finest first.
     pub levels: Vec<IntensityImage>,
 }
 
 impl IntensityPyramid {
-    /// `count` levels of a frame's colour image, the finest at full resolution; fewer if the image
-    /// becomes smaller than 8 pixels.
+    /// `count` levels of the colour image of a frame, the finest at full resolution. There are
+    /// fewer levels if the image would become smaller than 8 pixels.
     pub fn of_frame(frame: &RgbdFrame, count: usize) -> Self {
         Self::new(IntensityImage::of_frame(frame), count)
     }
 
-    /// The same on top of any image.
+    /// A pyramid of `count` levels on top of any image; fewer for small images, as in
+    /// [`Self::of_frame`].
     pub fn new(finest: IntensityImage, count: usize) -> Self {
         let mut levels = vec![finest];
         while levels.len() < count {

@@ -1,8 +1,8 @@
-//! Direct image alignment: what the brightness of pixels with known depth says about motion.
+//! Direct image alignment: camera motion from the photometric residuals of pixels with known depth.
 //!
-//! A pixel with depth is a point in space. Seen from another pose it should be as bright as before;
-//! the differences of brightness, and the image's gradients, say how the pose must change. Usable
-//! alone, beside any source of depth.
+//! A pixel with depth is a 3D point. Under brightness constancy it looks equally bright from
+//! another pose; the photometric residuals and the image gradients tell how the pose must change.
+//! Can be used on its own, with any source of depth.
 
 mod depth_delay;
 mod image_alignment;

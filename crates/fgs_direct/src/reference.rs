@@ -1,38 +1,39 @@
-//! The points of a keyframe that say most about motion: those where brightness changes strongly.
+//! Selects the points of a keyframe that constrain motion best: those with strong image gradients.
 
 use fgs_geom::{Image, has_depth};
 use nalgebra::Vector3;
 
 use crate::{IntensityImage, IntensityPyramid};
 
-/// One point is taken from each cell of so many pixels, so that they lie spread over the image.
+/// Side of a selection cell. At most one point is taken per cell, so that the points are spread
+/// over the image.
 const CELL_PX: usize = 8;
 
-/// A weaker gradient, in brightness a pixel, is mostly noise.
+/// Weaker gradients, in brightness per pixel, are mostly noise.
 const MIN_GRADIENT: f32 = 0.01;
 
-/// Next to a step in depth larger than this share, a pixel may show the surface in front or that
-/// behind.
+/// Next to a depth discontinuity larger than this fraction, a pixel may show either the foreground
+/// or the background.
 const MAX_DEPTH_STEP: f32 = 0.05;
 
-/// A point with its brightness.
+/// A point with its brightness in the keyframe.
 #[derive(Clone, Copy, Debug)]
 pub struct ReferencePoint {
-    /// In the reference camera's axes, metres.
+    /// Position in the reference camera frame, metres.
     pub position: Vector3<f64>,
-    /// 0 to 1.
+    /// Brightness, 0 to 1.
     pub intensity: f32,
 }
 
-/// What other images are aligned with: points of a keyframe, for each level of a pyramid.
+/// The reference for photometric alignment: points of a keyframe for each pyramid level.
 #[derive(Clone, Debug)]
 pub struct Reference {
-    /// The points of each level, the finest first.
+    /// The points of each level, finest first.
     pub levels: Vec<Vec<ReferencePoint>>,
 }
 
 impl Reference {
-    /// The points of a keyframe. `depth_m` has the size of the pyramid's finest level.
+    /// Selects the points of a keyframe. `depth_m` has the resolution of the finest pyramid level.
     pub fn new(pyramid: &IntensityPyramid, depth_m: &Image<f32>) -> Self {
         let levels = pyramid.levels.iter().enumerate();
         Self {
@@ -43,8 +44,8 @@ impl Reference {
     }
 }
 
-/// The pixel with the strongest gradient of each cell, where depth is measured and continuous. A
-/// pixel of `image` covers `size` x `size` pixels of `depth_m`.
+/// The pixel with the strongest gradient in each cell, among those where depth is available and
+/// continuous. A pixel of `image` covers `size` x `size` pixels of `depth_m`.
 fn points(image: &IntensityImage, depth_m: &Image<f32>, size: usize) -> Vec<ReferencePoint> {
     let (width, height) = (image.camera.width, image.camera.height);
     let depth_at = |u: usize, v: usize| {
@@ -80,7 +81,7 @@ fn points(image: &IntensityImage, depth_m: &Image<f32>, size: usize) -> Vec<Refe
     points
 }
 
-/// Squared length of the central differences; NaN next to what was not seen.
+/// Squared gradient magnitude by central differences; NaN next to invalid pixels.
 fn squared_gradient(pixels: &Image<f32>, u: usize, v: usize) -> f32 {
     let du = 0.5 * (pixels.at(u + 1, v) - pixels.at(u - 1, v));
     let dv = 0.5 * (pixels.at(u, v + 1) - pixels.at(u, v - 1));

@@ -1,18 +1,18 @@
-//! The difference of brightness of one point in two images, with its derivatives.
+//! Brightness of a 3D point in an image and its Jacobian with respect to the pose.
 //!
-//! A point at `p` in the camera's axes shows at `pi(p) = (fx x/z + cx, fy y/z + cy)`. The pose is
-//! perturbed from the right, `world_from_camera exp([omega, v])`, which moves the point to
-//! `p - omega x p - v`.
+//! A point at `p` in the camera frame projects to `pi(p) = (fx x/z + cx, fy y/z + cy)`. A right
+//! perturbation of the pose, `world_from_camera exp([omega, v])`, moves the point to `p - omega x p
+//! - v` to first order.
 
 use nalgebra::{Vector3, Vector6};
 
 use crate::IntensityImage;
 
-/// Points nearer than this are not compared, metres.
+/// Points closer to the camera than this are skipped, metres.
 const NEAR_M: f64 = 0.05;
 
-/// Brightness of the image where the point shows, and its derivative by the pose; `None` where the
-/// image does not show it.
+/// Brightness of the image at the projection of the point, and its derivative with respect to the
+/// pose; `None` if the point is not visible in the image.
 #[inline]
 pub(crate) fn brightness(
     image: &IntensityImage,
@@ -56,7 +56,8 @@ mod tests {
     use super::*;
     use crate::test_scene::{camera, image_of, rng};
 
-    /// Brightness seen by a camera that moves along a coordinate of the tangent, by dual numbers.
+    /// Brightness seen by a camera that moves along one coordinate of the tangent, with dual
+    /// numbers.
     fn dual(pixels: &Image<f32>, point: &Vector3<f64>, coordinate: usize) -> Dual64 {
         let mut tangent = [Dual64::from(0.0); 6];
         tangent[coordinate].eps = 1.0;

@@ -1,4 +1,4 @@
-//! A room's corner with smooth random paint, for tests.
+//! A room corner with a smooth random texture, for tests.
 
 use fgs_geom::{Camera, FrameIndex, Image, Intrinsics, RgbdFrame, Se3};
 use nalgebra::Vector3;
@@ -22,13 +22,13 @@ pub fn camera() -> Camera {
     Camera::new(32, 24, intrinsics).unwrap()
 }
 
-/// Brightness values as the small camera's image.
+/// Brightness values as an image of the small camera.
 pub fn image_of(pixels: &Image<f32>) -> IntensityImage {
     let seen = pixels.map(|_| true);
     IntensityImage::of_render(camera(), &pixels.map(|p| [*p; 3]), &seen)
 }
 
-/// What a camera sees of a painted wall at z = 2 m, or of a corner if `with_floor`.
+/// A textured wall at z = 2 m, or a corner if `with_floor`.
 pub struct Scene {
     waves: Vec<[f64; 4]>,
     pub with_floor: bool,
@@ -52,7 +52,7 @@ impl Scene {
         }
     }
 
-    /// A frame at a pose; its colours are `gain * paint + offset`.
+    /// A frame at a pose, with colours `gain * texture + offset`.
     pub fn frame(&self, pose: &Se3, gain: f64, offset: f64) -> RgbdFrame {
         let intrinsics = Intrinsics {
             fx: 130.0,

@@ -1,13 +1,14 @@
-//! The covariance of a point: a symmetric 3x3 matrix, kept as six `f32`.
+//! The covariance of a point: a symmetric 3x3 matrix, stored as six `f32`.
 //!
-//! GICP (Segal et al. 2009) gives each point the covariance of the surface patch it stands for:
-//! wide in the tangent plane, thin along the normal. Only its shape matters, so it is scaled to a
-//! middle eigenvalue of 1 (paper Sec. III-B) and floored, which keeps every sum invertible.
+//! GICP (Segal et al. 2009) gives each point the covariance of the surface patch that it
+//! represents: large in the tangent plane, small along the normal. Only its shape matters, so it is
+//! scaled to a middle eigenvalue of 1 (paper Sec. III-B). A floor on the smallest eigenvalue keeps
+//! sums of covariances invertible.
 
 use nalgebra::{Matrix3, SymmetricEigen, Vector3};
 
-/// Floor of the smallest eigenvalue of a covariance whose middle one is 1: the variance along the
-/// normal relative to the tangent plane. The value of GICP and of the paper.
+/// Floor of the smallest eigenvalue after the middle one has been scaled to 1: the variance along
+/// the normal relative to that in the tangent plane. Same value as in GICP and the paper.
 pub const MIN_EIGENVALUE: f64 = 1e-3;
 
 /// A symmetric positive definite 3x3 matrix.
@@ -18,7 +19,7 @@ pub struct Covariance {
 }
 
 impl Covariance {
-    /// The same in all directions: turns the factor into point-to-point ICP.
+    /// The identity, which reduces the factor to point-to-point ICP.
     pub fn isotropic() -> Self {
         Self {
             upper: [1.0, 0.0, 0.0, 1.0, 0.0, 1.0],
@@ -42,9 +43,9 @@ impl Covariance {
         }
     }
 
-    /// The shape of any symmetric matrix: eigenvalues divided by the middle one and floored at
-    /// [`MIN_EIGENVALUE`]. `None` if a value is not finite or the matrix has rank below two, so
-    /// that it describes no surface.
+    /// Regularises a symmetric matrix: divides the eigenvalues by the middle one and floors them at
+    /// [`MIN_EIGENVALUE`]. `None` if an entry is not finite or the rank is below two, since such a
+    /// matrix does not describe a surface.
     pub fn regularized(matrix: &Matrix3<f64>) -> Option<Self> {
         let scale = matrix.amax();
         if !scale.is_finite() || scale <= 0.0 || matrix.iter().any(|value| !value.is_finite()) {
@@ -54,7 +55,7 @@ impl Covariance {
         let mut sorted = eigen.eigenvalues;
         sorted.as_mut_slice().sort_by(f64::total_cmp);
         let middle = sorted[1];
-        // Below this share of the largest entry the middle eigenvalue is rounding error.
+        // Relative to the largest entry, a middle eigenvalue this small is rounding error.
         if middle <= 1e-9 {
             return None;
         }
@@ -67,8 +68,8 @@ impl Covariance {
         ))
     }
 
-    /// The symmetric matrix whose upper triangle is that of `matrix`, unchanged. The caller sees to
-    /// it that it is positive definite.
+    /// Takes the upper triangle of `matrix` unchanged. The caller must ensure that the matrix is
+    /// positive definite.
     pub fn from_matrix(matrix: &Matrix3<f64>) -> Self {
         let m = matrix;
         let upper = [
@@ -84,7 +85,7 @@ impl Covariance {
         }
     }
 
-    /// The same matrix times a number.
+    /// The covariance multiplied by `factor`.
     pub fn scaled(&self, factor: f64) -> Self {
         Self {
             upper: self.upper.map(|value| (f64::from(value) * factor) as f32),
@@ -109,7 +110,7 @@ impl Covariance {
         Matrix3::new(xx, xy, xz, xy, yy, yz, xz, yz, zz)
     }
 
-    /// The covariance of the same patch after `rotation`: R C R^T.
+    /// The covariance of the patch after rotating it: R C R^T.
     #[inline]
     pub fn rotated(&self, rotation: &Matrix3<f64>) -> Self {
         Self::from_matrix(&(rotation * self.matrix() * rotation.transpose()))

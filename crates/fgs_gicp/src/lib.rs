@@ -1,8 +1,9 @@
-//! Generalised ICP (Segal et al. 2009) of points with covariances against an incremental map, as
-//! the paper's tracker uses it (Sec. III-B). Usable alone.
+//! Generalised ICP (Segal et al. 2009) of points with covariances against an incremental map, as in
+//! the paper's tracker (Sec. III-B). Can be used on its own.
 //!
-//! A [`DepthGrid`] takes points and surfaces from a depth image; a [`PointMap`] holds the target;
-//! [`align`] finds the motion. `target_from_source` maps source to target, metres.
+//! A [`DepthGrid`] extracts points and surface normals from a depth image, a [`PointMap`] holds the
+//! target points, and [`align`] estimates the pose. `target_from_source` maps source points to the
+//! target frame, in metres.
 
 mod covariance;
 mod point;

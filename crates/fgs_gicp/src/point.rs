@@ -1,21 +1,21 @@
-//! A point with the covariance of the surface patch it stands for.
+//! A point with the covariance of the surface patch that it represents.
 
 use fgs_geom::Se3;
 use nalgebra::Vector3;
 
 use crate::Covariance;
 
-/// A point of a registration's source or target.
+/// A source or target point of a registration.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Point {
-    /// Metres. `f32` rounds to 1 um at 10 m, well below any depth sensor's step.
+    /// Metres. `f32` rounds to 1 um at 10 m, well below the resolution of any depth sensor.
     pub position: Vector3<f32>,
-    /// Shape of the surface around it, in the same axes.
+    /// Covariance of the surface patch, in the same frame as the position.
     pub covariance: Covariance,
 }
 
 impl Point {
-    /// The same patch in the axes of `a`.
+    /// The same patch, expressed in frame `a`.
     pub fn transformed(&self, a_from_b: &Se3) -> Self {
         let rotation = a_from_b.rotation.to_rotation_matrix().into_inner();
         Self {

@@ -1,9 +1,9 @@
-//! Odometry by registration alone: tracks a depth sequence against a sparse map that grows at
+//! Odometry by registration alone: tracks a depth sequence against a sparse map that is extended at
 //! keyframes, and reports the absolute trajectory error.
 //!
 //! `cargo run --release -p fgs_gicp --example odometry -- DIR [key=value ...]`, where DIR is a
-//! recording with known poses. The keys are in `recipe.rs`; `camera=FILE` where DIR has no
-//! `camera.toml`.
+//! recording with ground-truth poses. The keys are listed in `recipe.rs`; pass `camera=FILE` if DIR
+//! has no `camera.toml`.
 
 mod recipe;
 mod tracker;

@@ -1,4 +1,4 @@
-//! What the odometry may be told: `key=value` words.
+//! Options of the odometry, given as `key=value` arguments.
 
 use std::collections::HashMap;
 use std::path::PathBuf;
@@ -7,7 +7,7 @@ use std::str::FromStr;
 use anyhow::{Context, Result, anyhow, bail};
 use fgs_gicp::{DepthGrid, Kernel, Settings};
 
-/// The variant to try.
+/// The variant of the odometry to run.
 #[derive(Debug)]
 pub struct Recipe {
     pub camera: Option<PathBuf>,
@@ -18,24 +18,24 @@ pub struct Recipe {
     pub fitted: bool,
     /// `disk`, `iso` or `neighbors`.
     pub covariance: String,
-    /// Variance along a disk's normal, relative to that across.
+    /// Variance along the normal of a disk, relative to that in the tangent plane.
     pub thickness: f64,
-    /// Neighbours of a `neighbors` covariance.
+    /// Number of neighbours for the `neighbors` covariance.
     pub neighbors: usize,
-    /// Covariances grow with this power of depth.
+    /// Standard deviations scale with this power of depth.
     pub noise_power: f64,
-    /// Start from the previous motion rather than the previous pose.
+    /// Start from the pose predicted at constant velocity rather than the previous pose.
     pub constant_velocity: bool,
-    /// New map points keep this distance from old ones.
+    /// Minimum distance of new map points from existing ones.
     pub spacing_m: f32,
-    /// Keyframe when fewer than this share of points have a map point within the correspondence
-    /// distance.
+    /// Add a keyframe when the inlier ratio falls below this: the fraction of points that have a
+    /// map point within the correspondence distance.
     pub min_overlap: f64,
-    /// Replace the map at each keyframe rather than add to it.
+    /// Replace the map at each keyframe instead of extending it.
     pub replace: bool,
-    /// Side of the map's cells.
+    /// Cell size of the map.
     pub cell_m: f32,
-    /// Tracking grid and map grid.
+    /// Stride of the pixel grid from which map points are taken; tracking uses that of `grid`.
     pub map_stride: usize,
 }
 

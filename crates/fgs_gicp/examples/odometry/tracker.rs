@@ -1,5 +1,5 @@
-//! Frame-to-map tracking: align each frame to the map from where the last motion leads; when too
-//! few points overlap, add those that the map lacks.
+//! Frame-to-map tracking: aligns each frame to the map, starting from a constant-velocity
+//! prediction. When the overlap becomes too small, adds the points missing from the map.
 
 use std::time::Instant;
 
@@ -11,13 +11,13 @@ use fgs_gicp::{
 
 use crate::recipe::Recipe;
 
-/// Frame to sparse map.
+/// Frame-to-map tracker with a sparse map.
 pub struct Tracker {
     pub recipe: Recipe,
     pub map: PointMap,
     next_id: u64,
     world_from_camera: Option<Se3>,
-    /// Motion of the last frame, `previous_from_current`.
+    /// Motion between the last two frames, `previous_from_current`.
     motion: Se3,
     pub keyframes: usize,
     pub lost: usize,

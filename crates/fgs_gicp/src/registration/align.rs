@@ -1,11 +1,11 @@
-//! Registration by Gauss-Newton with correspondences searched again at every linearisation
-//! (paper Sec. III-B).
+//! Registration by Gauss-Newton, with the correspondences updated in every iteration (paper Sec.
+//! III-B).
 //!
-//! Plain Gauss-Newton rather than Levenberg-Marquardt: the pairs change with every step, so a
-//! cost compared across steps is not the cost that was minimised; the covariances' floor keeps the
-//! system well-posed even on a single plane; and steps are centimetres at most, where the
-//! linearisation holds.
-//! Invariant: the result is the same, bit for bit, for any number of threads.
+//! Gauss-Newton is preferred to Levenberg-Marquardt for three reasons. The correspondences change
+//! with every step, so comparing costs across steps does not tell whether a step was good. The
+//! floor on the covariances keeps the system well-posed even on a single plane. Steps are
+//! centimetres at most, where the linearisation is accurate.
+//! Invariant: the result is bit-identical for any number of threads.
 
 use fgs_geom::{Se3, dispatch};
 use nalgebra::{Matrix3, Vector3};
@@ -16,35 +16,36 @@ use crate::registration::{AlignError, Alignment, Conditioning, LinearSystem, Set
 use crate::target::LastingNearest;
 use crate::{Point, PointMap};
 
-/// Points summed up by one task. Fixed, so that sums do not depend on the number of threads.
+/// Points per parallel task. Fixed, so that the order of summation does not depend on the number of
+/// threads.
 const CHUNK_POINTS: usize = 1024;
 
-/// How far beyond the nearest point a search looks, as a share of the correspondence distance, so
-/// that it need not be repeated after steps of up to half of it. A larger margin makes the first
-/// search expensive.
+/// How far a search looks beyond the nearest point, as a fraction of the correspondence distance.
+/// The correspondence then stays valid while the query moves by up to half this margin. A larger
+/// margin makes the first search expensive.
 const MARGIN: f32 = 0.05;
 
-/// Points of the sample that is aligned first.
+/// Size of the subsample that is aligned first.
 const SAMPLE_POINTS: usize = 1000;
 
-/// The sample is given up after so many linearisations.
+/// Maximum number of iterations on the subsample before it is abandoned.
 const MAX_SAMPLE_ITERATIONS: usize = 10;
 
-/// Three points that are not collinear determine a motion.
+/// Three non-collinear points determine a rigid motion.
 const MIN_PAIRS: usize = 3;
 
-/// Points closer together than this determine no rotation: their `f32` positions are rounded to a
-/// hundredth of it.
+/// Below this RMS radius the points do not constrain rotation: rounding of their `f32` positions
+/// reaches a hundredth of it.
 const MIN_RADIUS_M: f64 = 1e-4;
 
-/// Below this ratio of eigenvalues a direction is held by rounding errors only.
+/// Below this ratio of eigenvalues, a direction is constrained by rounding errors only.
 const MIN_CONDITIONING: f64 = 1e-10;
 
-/// The motion `target_from_source` that aligns the source with the target, starting from `initial`.
+/// The pose `target_from_source` that aligns the source with the target, starting from `initial`.
 /// Failing to converge is not an error: see [`Alignment::converged`].
 ///
 /// # Errors
-/// Empty or non-finite input, and pairs that determine no motion.
+/// Empty or non-finite input, and correspondences that do not determine the pose.
 pub fn align(
     source: &[Point],
     target: &PointMap,
@@ -56,8 +57,8 @@ pub fn align(
     align_all(source, target, &start.unwrap_or(*initial), settings)
 }
 
-/// Where a sample of the points lies on the target, near enough for one or two linearisations of
-/// all of them; `None` if there is nothing to save or the sample does not settle.
+/// Pose from a subsample, accurate enough that all points then need only one or two iterations.
+/// `None` if there are too few points to save time or the subsample does not converge.
 fn align_sample(
     source: &[Point],
     target: &PointMap,
@@ -69,7 +70,7 @@ fn align_sample(
         return None;
     }
     let sample: Vec<Point> = source.iter().step_by(step).copied().collect();
-    // Smaller steps are below what the sample tells.
+    // Smaller steps are below the accuracy of the subsample.
     let coarse = Settings::default();
     let settings = Settings {
         max_iterations: settings.max_iterations.min(MAX_SAMPLE_ITERATIONS),
@@ -85,7 +86,7 @@ fn align_sample(
     alignment.converged.then_some(alignment.target_from_source)
 }
 
-/// Gauss-Newton with every point.
+/// Gauss-Newton over all points.
 fn align_all(
     source: &[Point],
     target: &PointMap,
@@ -156,7 +157,7 @@ fn check(source: &[Point], target: &PointMap, initial: &Se3) -> Result<(), Align
     Ok(())
 }
 
-/// The normal equations at a pose.
+/// The normal equations at a pose, with updated correspondences.
 fn linearize(
     source: &[Point],
     target: &PointMap,
@@ -199,7 +200,7 @@ fn linearize_chunk(
     })
 }
 
-/// Finds the pairs and sums them up, compiled for each instruction set.
+/// Finds the correspondences and accumulates them, compiled for each instruction set.
 struct LinearizeChunk<'a> {
     source: &'a [Point],
     target: &'a PointMap,
@@ -225,7 +226,8 @@ impl fgs_geom::Kernel for LinearizeChunk<'_> {
                     .lasting_nearest(&query, max_distance_m, margin_m);
             }
         }
-        // Half as many f64 as f32; constants cannot be computed from others here.
+        // A register holds half as many f64 as f32. Stable Rust cannot derive one const argument
+        // from another, hence the branch.
         if WIDTH == 16 {
             self.sum::<8>()
         } else {
@@ -235,7 +237,7 @@ impl fgs_geom::Kernel for LinearizeChunk<'_> {
 }
 
 impl LinearizeChunk<'_> {
-    /// Sums the pairs up, `LANES` at a time.
+    /// Accumulates the correspondences, `LANES` at a time.
     #[inline(always)]
     fn sum<const LANES: usize>(self) -> LinearSystem {
         let mut batch =
@@ -249,7 +251,7 @@ impl LinearizeChunk<'_> {
     }
 }
 
-/// Mean of the points and their root mean square distance from it.
+/// Centroid of the points and their RMS distance from it.
 fn extent(source: &[Point]) -> (Vector3<f64>, f64) {
     let n = source.len() as f64;
     let positions = source.iter().map(|point| point.position.cast::<f64>());

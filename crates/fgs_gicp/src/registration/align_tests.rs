@@ -14,10 +14,10 @@ fn camera() -> Camera {
     Camera::new(192, 128, intrinsics).unwrap()
 }
 
-/// Planes `normal . p = distance` seen from inside.
+/// Planes `normal . p = distance`, seen from inside.
 type Scene = Vec<(Vector3<f64>, f64)>;
 
-/// A floor, a slanted wall and two more: they hold all six degrees of freedom.
+/// A floor, a slanted wall and two more walls, which together constrain all six degrees of freedom.
 fn corner() -> Scene {
     vec![
         (Vector3::new(0.0, 1.0, 0.0), 0.8),
@@ -27,7 +27,7 @@ fn corner() -> Scene {
     ]
 }
 
-/// The points that a camera at a pose sees of a scene, in its own axes.
+/// The points of a scene visible from a camera pose, in the camera frame.
 fn view(scene: &Scene, world_from_camera: &Se3) -> Vec<Point> {
     let camera = camera();
     let depth_m = Image::from_fn(camera.width, camera.height, |u, v| {
@@ -68,7 +68,7 @@ fn precise() -> Settings {
     }
 }
 
-/// Root mean square distance between the points moved by two poses.
+/// RMS distance between the points transformed by two poses.
 fn distance(points: &[Point], a: &Se3, b: &Se3) -> f64 {
     let squared = points.iter().map(|point| {
         let p = point.position.cast();
@@ -77,7 +77,7 @@ fn distance(points: &[Point], a: &Se3, b: &Se3) -> f64 {
     (squared.sum::<f64>() / points.len() as f64).sqrt()
 }
 
-/// Turns and shifts along each axis, and all together.
+/// Rotations and translations along each axis, and all combined.
 fn motions() -> Vec<Se3> {
     let mut tangents: Vec<Vector6<f64>> = Vec::new();
     for axis in 0..3 {
@@ -106,7 +106,7 @@ fn known_motion_about_three_axes() {
     }
 }
 
-/// `align_all` from the given start is the definition.
+/// `align_all` from the same start is the reference.
 #[test]
 fn a_sample_first_changes_nothing_but_the_time() {
     let target = map_of(&view(&corner(), &Se3::identity()));
@@ -129,14 +129,15 @@ fn a_sample_first_changes_nothing_but_the_time() {
     }
 }
 
-/// One of too few points, one that does not settle, and one of outliers.
+/// A source too small for a subsample, a subsample that does not converge, and one of outliers
+/// only.
 #[test]
 fn a_sample_that_misleads_is_not_followed() {
     let points = view(&corner(), &Se3::identity());
     let few = &points[..2 * SAMPLE_POINTS - 1];
     let (target, start) = (map_of(&points), Se3::identity());
     assert!(align_sample(few, &target, &start, &precise()).is_none());
-    // One linearisation is too few to settle.
+    // One iteration is too few to converge.
     let once = Settings {
         max_iterations: 1,
         ..precise()
@@ -172,7 +173,7 @@ fn there_and_back_is_nowhere() {
 fn outliers_lose_to_a_kernel() {
     let motion = motions()[3];
     let mut source = view(&corner(), &motion);
-    // A third of the points stand off by 2 cm, all to one side.
+    // A third of the points are displaced by up to 2 cm per axis, all in the same direction.
     for point in source.iter_mut().step_by(3) {
         point.position += Vector3::new(0.02, -0.015, 0.02);
     }
@@ -182,7 +183,7 @@ fn outliers_lose_to_a_kernel() {
             kernel,
             ..precise()
         };
-        // From nearby: kernels that forget far pairs also forget the way from afar.
+        // Start close to the solution: redescending kernels have a small basin of convergence.
         let start = motion * Se3::exp(&Vector6::repeat(5e-4));
         let alignment = align(&source, &target, &start, &settings).unwrap();
         distance(&source, &motion, &alignment.target_from_source)
@@ -224,7 +225,7 @@ fn a_plane_is_aligned_and_said_to_slide() {
     let alignment = align(&source, &target, &Se3::identity(), &precise()).unwrap();
     assert!(alignment.conditioning.weakest <= 2e-3);
     assert!(alignment.hessian.iter().all(|value| value.is_finite()));
-    // On the plane, wherever on it.
+    // Anywhere on the plane.
     for point in &source {
         let p = alignment
             .target_from_source

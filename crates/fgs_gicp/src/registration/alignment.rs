@@ -1,4 +1,4 @@
-//! What a registration found, and how far it is to be trusted.
+//! The result of a registration and its uncertainty.
 
 use fgs_geom::Se3;
 use nalgebra::{Matrix3, Matrix6, SymmetricEigen, Vector3, Vector6};
@@ -7,44 +7,46 @@ use thiserror::Error;
 /// The result of a registration.
 #[derive(Clone, Debug)]
 pub struct Alignment {
-    /// Maps source points to the target.
+    /// Maps source points to the target frame.
     pub target_from_source: Se3,
-    /// Whether the last step was below the settings' epsilons.
+    /// Whether the last step was below the epsilons of the settings.
     pub converged: bool,
-    /// Number of linearisations of all points.
+    /// Number of Gauss-Newton iterations over all points.
     pub iterations: usize,
-    /// Number of source points with a target point within the correspondence distance.
+    /// Number of source points that have a target point within the correspondence distance.
     pub inliers: usize,
-    /// `inliers` over the number of source points.
+    /// Inlier ratio: `inliers` divided by the number of source points.
     pub inlier_share: f64,
-    /// Root of the weighted mean squared residual, mostly along the surfaces' normals, metres.
+    /// Weighted RMS residual, mostly along the surface normals, metres.
     pub rms_residual_m: f64,
-    /// Sum of J^T M J at the result, tangent `[omega, v]` in the source's axes.
+    /// Sum of J^T M J at the result, with the tangent `[omega, v]` in the source frame.
     pub hessian: Matrix6<f64>,
-    /// Variance of the residuals in units of the points' covariances: the cost `e^T M e` of a pair
-    /// for each degree of freedom that the motion leaves.
+    /// Variance of the residuals relative to the points' covariances: the cost `e^T M e` of a
+    /// correspondence per remaining degree of freedom, after subtracting the six of the pose.
     pub residual_variance: f64,
-    /// How well the pairs hold the motion.
+    /// How well the correspondences constrain the pose.
     pub conditioning: Conditioning,
 }
 
-/// Residuals below this are rounding of `f32` positions, metres.
+/// Smaller residuals are rounding errors of the `f32` positions, metres.
 const MIN_NOISE_M: f64 = 1e-6;
 
 impl Alignment {
-    /// Inverse covariance of `target_from_source` under right perturbations, tangent `[omega, v]`
-    /// (rad, metres) in the source's axes: what an edge of a pose graph needs.
+    /// Information matrix of `target_from_source` for right perturbations, tangent `[omega, v]`
+    /// (rad, metres) in the source frame: what an edge of a pose graph needs.
     ///
-    /// The Hessian knows the covariances' shapes only; their scale is the residuals' variance. A
-    /// pair counts as one degree of freedom, that along the normal: points without normals get up
-    /// to three times less information than they have. `sensor_noise_m`, the standard deviation of
-    /// a pair's distance along its normal, is a floor: pairs may agree by chance, and errors that
-    /// they share do not show in residuals.
+    /// The Hessian depends on the shape of the covariances only; their scale is estimated from the
+    /// variance of the residuals. Each correspondence counts as one degree of freedom, along the
+    /// normal, so isotropic points get up to three times less information than they carry.
+    /// `sensor_noise_m` is the standard deviation of the distance along the normal within a
+    /// correspondence. It acts as a floor, since residuals may be small by chance and do not show
+    /// systematic errors.
     ///
-    /// It promises too much where pairs are not independent: many source points on one target
-    /// point, points fitted to overlapping windows, and noise near the spacing of the target's
-    /// points, since a nearest point is then chosen by its noise (variances up to four times the
-    /// predicted with a noise of a quarter of the spacing).
+    /// The information is overestimated where correspondences are not independent: when many source
+    /// points share a target point, when normals are fitted to overlapping windows, and when the
+    /// noise approaches the spacing of the target points, because the noise then decides which
+    /// point is nearest. With noise of a quarter of the spacing, variances reach up to four times
+    /// the predicted ones.
     pub fn information(&self, sensor_noise_m: f64) -> Matrix6<f64> {
         let translation_block = self.hessian.fixed_view::<3, 3>(3, 3);
         let information_per_pair = translation_block.trace() / self.inliers.max(1) as f64;
@@ -53,20 +55,21 @@ impl Alignment {
     }
 }
 
-/// How well the pairs hold the weakest of all motions.
+/// How well the correspondences constrain the weakest direction of motion.
 #[derive(Clone, Copy, Debug)]
 pub struct Conditioning {
-    /// Smallest over largest eigenvalue of the Hessian about the source's centroid, with rotation
-    /// measured as the arc at the points' root mean square distance from it: 1 means that all
-    /// motions are held alike; a plane gives about the covariances' smallest eigenvalue.
+    /// Smallest over largest eigenvalue of the Hessian about the centroid of the source. Rotations
+    /// are measured as the arc length at the RMS distance of the points from it. 1 means that all
+    /// directions are equally well constrained; a single plane gives about the smallest eigenvalue
+    /// of the covariances.
     pub weakest: f64,
-    /// The unit motion held least, `[omega, v]` about the centroid in the source's axes, rotation
-    /// measured as that arc.
+    /// The least constrained unit motion, `[omega, v]` about the centroid in the source frame, with
+    /// rotation measured as that arc length.
     pub weakest_motion: Vector6<f64>,
 }
 
 impl Conditioning {
-    /// Of a Hessian whose source points have this mean and root mean square distance from it.
+    /// Conditioning of a Hessian whose source points have this centroid and RMS distance from it.
     pub(crate) fn new(hessian: &Matrix6<f64>, centroid: &Vector3<f64>, radius_m: f64) -> Self {
         // A motion [w, v] about the centroid is [w, v - w x c] about the origin.
         let mut origin_from_centroid = Matrix6::identity();
@@ -86,7 +89,7 @@ impl Conditioning {
     }
 }
 
-/// Why there is no alignment.
+/// Why a registration failed.
 #[derive(Clone, Debug, Error, PartialEq)]
 #[non_exhaustive]
 pub enum AlignError {
@@ -96,29 +99,29 @@ pub enum AlignError {
     /// No target points.
     #[error("the target has no points")]
     EmptyTarget,
-    /// A source point that is no number.
+    /// A source point is not finite.
     #[error("source point {index} is not finite")]
     NonFiniteSource {
         /// Its index.
         index: usize,
     },
-    /// A start that is no number.
+    /// The initial pose is not finite.
     #[error("the initial pose is not finite")]
     NonFiniteStart,
-    /// The pairs do not hold all six degrees of freedom.
+    /// Too few correspondences to constrain all six degrees of freedom.
     #[error("only {pairs} of {points} source points have a target point within {max_distance_m} m")]
     TooFewPairs {
-        /// Pairs found.
+        /// Correspondences found.
         pairs: usize,
-        /// Source points.
+        /// Number of source points.
         points: usize,
-        /// The correspondence distance.
+        /// The maximum correspondence distance.
         max_distance_m: f32,
     },
-    /// The normal equations have no solution.
+    /// The normal equations are singular or badly conditioned.
     #[error("{pairs} pairs do not determine the motion")]
     Undetermined {
-        /// Pairs found.
+        /// Correspondences found.
         pairs: usize,
     },
 }

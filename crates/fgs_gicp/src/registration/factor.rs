@@ -1,11 +1,13 @@
-//! One pair of points: `d^T (C_q + R C_p R^T)^-1 d` with `d = q - T p` (Eq. 12 to 14).
+//! The GICP factor of one correspondence: `d^T (C_q + R C_p R^T)^-1 d` with `d = q - T p` (Eq. 12
+//! to 14).
 //!
-//! It is evaluated in the source's axes, `e = R^T d` and `M = (R^T C_q R + C_p)^-1`, where the
-//! cost is the same and the Jacobian of a right perturbation is constant: `[skew(p), -I]`.
+//! It is evaluated in the source frame, with `e = R^T d` and `M = (R^T C_q R + C_p)^-1`. The cost
+//! is the same there, and the Jacobian with respect to a right perturbation depends only on the
+//! source point: `[skew(p), -I]`.
 
 use nalgebra::{Matrix3, Vector3};
 
-/// Residual and information of a pair, in the source's axes.
+/// Residual and information matrix of a correspondence, in the source frame.
 #[derive(Clone, Copy, Debug)]
 pub struct Factor {
     /// `R^T (q - t) - p`, metres.
@@ -15,9 +17,9 @@ pub struct Factor {
 }
 
 impl Factor {
-    /// The pair of source point `p` with covariance `source_covariance` and target point `q` with
-    /// `target_covariance`, under `target_from_source` given by its rotation and translation.
-    /// `None` if the covariances' sum has no inverse.
+    /// The correspondence of source point `p` (covariance `source_covariance`) and target point `q`
+    /// (covariance `target_covariance`), at the pose `target_from_source` given as rotation and
+    /// translation. `None` if the sum of the covariances is singular.
     #[inline]
     pub fn new(
         p: &Vector3<f64>,
@@ -41,15 +43,17 @@ impl Factor {
         self.residual.dot(&(self.information * self.residual))
     }
 
-    /// The squared residual in square metres whatever the covariances' scale: the mean over
-    /// directions weighted by their information, so for thin disks that along the normal.
+    /// Squared residual in square metres, independent of the scale of the covariances: a mean over
+    /// directions weighted by their information. For thin disks this is the squared distance along
+    /// the normal.
     #[inline]
     pub fn squared_residual(&self) -> f64 {
         self.cost() / self.information.trace()
     }
 }
 
-/// The inverse of a symmetric positive definite matrix by cofactors; `None` if it is none.
+/// Inverts a symmetric positive definite matrix by cofactors; `None` if the determinant is not
+/// positive and finite.
 #[inline]
 fn inverse_symmetric(m: &Matrix3<f64>) -> Option<Matrix3<f64>> {
     let [xx, xy, xz] = [m.m11, m.m12, m.m13];

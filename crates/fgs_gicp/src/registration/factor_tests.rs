@@ -16,8 +16,8 @@ fn cross(a: &Dual3, b: &Dual3) -> Dual3 {
     ]
 }
 
-/// `q - T exp(delta) p` and the derivative along one axis of delta at zero, from the exponential's
-/// series.
+/// `q - T exp(delta) p` and its derivative along one axis of delta at zero, from the series of the
+/// exponential.
 fn residual(pose: &Se3, p: &Vector3<f64>, q: &Vector3<f64>, axis: usize) -> Dual3 {
     let delta: [Dual64; 6] = std::array::from_fn(|i| {
         let zero = Dual64::from(0.0);
@@ -71,7 +71,7 @@ fn cost_gradient_and_hessian_against_dual_numbers() {
     }
     assert!((system.hessian() - hessian).amax() <= 1e-9 * hessian.amax());
     assert!((system.gradient - gradient).amax() <= 1e-9 * gradient.amax());
-    // Every entry is large enough for the bounds to mean something.
+    // Every entry must be large enough for the bounds to be meaningful.
     assert!(
         gradient
             .iter()

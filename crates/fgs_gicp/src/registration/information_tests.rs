@@ -1,4 +1,4 @@
-//! Monte-Carlo: the covariance that a registration predicts against the scatter of many.
+//! Monte Carlo test: the predicted covariance of a registration against the scatter of many.
 
 use nalgebra::{Matrix6, SymmetricEigen, Vector6};
 use rand::{RngExt, SeedableRng};
@@ -11,15 +11,15 @@ const TRIALS: usize = 200;
 const SOURCE_POINTS: usize = 600;
 const TARGET_POINTS: usize = 3000;
 
-/// Three squares of 1 m around a corner two metres ahead: a normal and the two axes along each.
+/// Three squares of 1 m around a corner two metres ahead: the normal and the two axes of each.
 fn squares() -> [[Vector3<f64>; 3]; 3] {
     let axes = Se3::exp(&Vector6::new(0.4, -0.3, 0.5, 0.0, 0.0, 0.0)).rotation;
     let [x, y, z] = [Vector3::x(), Vector3::y(), Vector3::z()].map(|axis| axes * axis);
     [[x, y, z], [y, z, x], [z, x, y]]
 }
 
-/// Points anywhere on the squares, off along the normal by a standard deviation that grows with
-/// the square of the depth, as the covariances do.
+/// Random points on the squares, with noise along the normal. Its standard deviation grows with the
+/// square of the depth, like that of the covariances.
 fn noisy_surface(points: usize, noise_m: f64, rng: &mut Pcg64Mcg) -> Vec<Point> {
     let squares = squares();
     (0..points)
@@ -39,7 +39,7 @@ fn noisy_surface(points: usize, noise_m: f64, rng: &mut Pcg64Mcg) -> Vec<Point> 
         .collect()
 }
 
-/// Alignments of freshly made noisy surfaces that truly coincide.
+/// Alignments of newly drawn noisy surfaces whose true poses coincide.
 fn alignments(trials: usize, noise_m: f64) -> Vec<Alignment> {
     let mut rng = Pcg64Mcg::seed_from_u64(5);
     let settings = Settings {
@@ -61,7 +61,7 @@ fn alignments(trials: usize, noise_m: f64) -> Vec<Alignment> {
         .collect()
 }
 
-/// The least and the largest ratio of observed to predicted variance over all directions.
+/// Smallest and largest ratio of observed to predicted variance over all directions.
 fn observed_over_predicted(alignments: &[Alignment], sensor_noise_m: f64) -> (f64, f64) {
     let mut scatter = Matrix6::zeros();
     let mut information = Matrix6::zeros();
@@ -75,8 +75,8 @@ fn observed_over_predicted(alignments: &[Alignment], sensor_noise_m: f64) -> (f6
     (ratios.min(), ratios.max())
 }
 
-/// 200 trials alone spread the six ratios from 0.68 to 1.38; target points that several source
-/// points share add a sixth. The target's points are 32 mm apart.
+/// With 200 trials, sampling error alone spreads the six ratios from 0.68 to 1.38; target points
+/// shared by several source points add a sixth. The target points are 32 mm apart.
 #[test]
 fn predicted_covariance_is_the_observed_within_a_factor_of_two() {
     for noise_m in [0.001, 0.002] {
@@ -93,7 +93,8 @@ fn the_sensors_noise_is_a_floor() {
     let exact = alignments(1, 0.0);
     let [one, two] = [0.01, 0.02].map(|noise_m| exact[0].information(noise_m));
     assert!((one - 4.0 * two).amax() <= 1e-9 * one.amax());
-    // A pair's distance along its normal has this deviation: so much information a pair.
+    // The noise is the standard deviation of the distance along the normal, which fixes the
+    // information per correspondence.
     let pairs = exact[0].inliers as f64;
     let translation = one.fixed_view::<3, 3>(3, 3).trace() / pairs;
     assert!((translation * 1e-4 - 1.0).abs() <= 1e-9);

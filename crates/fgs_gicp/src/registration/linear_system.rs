@@ -1,6 +1,6 @@
-//! The normal equations of all pairs: sums of J^T M J, J^T M e and the cost.
+//! The normal equations over all correspondences: sums of J^T M J, J^T M e and the cost.
 //!
-//! The tangent vector is `[omega, v]`. Sums are f64.
+//! The tangent vector is `[omega, v]`. Sums are accumulated in f64.
 
 use std::ops::AddAssign;
 
@@ -11,25 +11,25 @@ use crate::Factor;
 /// Normal equations of a Gauss-Newton step.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LinearSystem {
-    /// Blocks of the sum of `w J^T M J`: rotation with itself, rotation with translation,
-    /// translation with itself.
+    /// Blocks of the sum of `w J^T M J`: rotation-rotation, rotation-translation and
+    /// translation-translation.
     pub(super) rotation_block: Matrix3<f64>,
     pub(super) mixed_block: Matrix3<f64>,
     pub(super) translation_block: Matrix3<f64>,
-    /// Sum of `w J^T M e`, half the cost's gradient.
+    /// Sum of `w J^T M e`, half the gradient of the cost.
     pub gradient: Vector6<f64>,
-    /// Number of pairs.
+    /// Number of correspondences.
     pub pairs: usize,
-    /// Sum of weights.
+    /// Sum of robust weights.
     pub weight: f64,
-    /// Weighted sum of squared residuals along the pairs' normals, square metres.
+    /// Weighted sum of squared residuals along the normals, square metres.
     pub squared_residual: f64,
-    /// Weighted sum of the pairs' costs `e^T M e`.
+    /// Weighted sum of the costs `e^T M e`.
     pub cost: f64,
 }
 
 impl LinearSystem {
-    /// No pairs.
+    /// The empty sum.
     pub fn zero() -> Self {
         Self {
             rotation_block: Matrix3::zeros(),
@@ -57,12 +57,12 @@ impl LinearSystem {
         hessian
     }
 
-    /// Adds the pair of source point `p`, with weight `weight`.
+    /// Adds the correspondence of source point `p` with robust weight `weight`.
     #[inline]
     pub fn add(&mut self, p: &Vector3<f64>, factor: &Factor, weight: f64, squared_residual: f64) {
         let information = factor.information * weight;
         let me = information * factor.residual;
-        // J = [skew(p), -I], and M is symmetric: skew(p) M and skew(p) M skew(p)^T.
+        // With J = [skew(p), -I] and M symmetric, the blocks are skew(p) M skew(p)^T and skew(p) M.
         let p_hat_m = cross_columns(p, &information);
         self.rotation_block += cross_columns(p, &p_hat_m.transpose());
         self.mixed_block += p_hat_m;

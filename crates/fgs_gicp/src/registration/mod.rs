@@ -1,4 +1,4 @@
-//! Finding the motion between a source and a target.
+//! Estimating the pose of a source relative to a target.
 
 mod align;
 mod alignment;

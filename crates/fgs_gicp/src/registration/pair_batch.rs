@@ -1,22 +1,23 @@
-//! The normal equations of several pairs side by side: the arithmetic of [`Factor`](super::Factor)
-//! and [`LinearSystem::add`], which it is tested against, one pair a lane.
+//! SIMD version of [`Factor`](super::Factor) and [`LinearSystem::add`]: accumulates the normal
+//! equations of several correspondences at once, one per lane. Tested against the scalar version.
 //!
-//! Invariant: lanes are summed in a fixed order, and there are no fused operations, so results do
-//! not depend on threads, and on the instruction set only by the order of sums.
+//! Invariant: lanes are summed in a fixed order and without fused multiply-add. Results therefore
+//! do not depend on the number of threads, and depend on the instruction set only through the order
+//! of summation.
 
 use nalgebra::{Matrix3, Vector3, Vector6};
 
 use super::{Kernel, LinearSystem};
 use crate::Point;
 
-/// Pairs under one pose, gathered until they fill the lanes, and the sums over those before.
-/// A register should hold `LANES` numbers.
+/// Correspondences at one pose, collected until they fill the lanes, and the sums over the previous
+/// ones. A register should hold `LANES` numbers.
 pub(super) struct PairBatch<const LANES: usize> {
     /// Row-major.
     rotation: [[f64; 3]; 3],
     translation: [f64; 3],
     kernel: Kernel,
-    /// How many lanes hold a pair; the others are zero and so count for nothing.
+    /// Number of lanes in use. The others have zero covariances and contribute nothing.
     filled: usize,
     p: [[f64; LANES]; 3],
     q: [[f64; LANES]; 3],
@@ -25,7 +26,7 @@ pub(super) struct PairBatch<const LANES: usize> {
     sums: Sums<LANES>,
 }
 
-/// Symmetric matrices as xx, xy, xz, yy, yz, zz; the mixed block row by row.
+/// Symmetric matrices as xx, xy, xz, yy, yz, zz; the mixed block is row-major.
 struct Sums<const LANES: usize> {
     rotation: [[f64; LANES]; 6],
     mixed: [[f64; LANES]; 9],
@@ -87,7 +88,7 @@ impl<const LANES: usize> PairBatch<LANES> {
         }
     }
 
-    /// The sums over all pairs.
+    /// The sums over all correspondences.
     #[inline(always)]
     pub fn finish(mut self) -> LinearSystem {
         if self.filled > 0 {
@@ -185,7 +186,7 @@ impl<const LANES: usize> PairBatch<LANES> {
             let [xx, xy, xz, yy, yz, zz]: [f64; 6] = std::array::from_fn(|i| weight * m[i][lane]);
             let [ex, ey, ez] = [e[0][lane], e[1][lane], e[2][lane]];
             let [px, py, pz] = [self.p[0][lane], self.p[1][lane], self.p[2][lane]];
-            // J = [skew(p), -I]: skew(p) M, column by column p x (column of M) ...
+            // J = [skew(p), -I]. Each column of skew(p) M is p x (column of M) ...
             let cross = |[x, y, z]: [f64; 3]| [py * z - pz * y, pz * x - px * z, px * y - py * x];
             let columns = [
                 cross([xx, xy, xz]),
@@ -193,7 +194,7 @@ impl<const LANES: usize> PairBatch<LANES> {
                 cross([xz, yz, zz]),
             ];
             let row = |i: usize| [columns[0][i], columns[1][i], columns[2][i]];
-            // ... and skew(p) M skew(p)^T.
+            // ... and crossing its rows gives skew(p) M skew(p)^T.
             let rotated = [cross(row(0)), cross(row(1)), cross(row(2))];
             let turn = [
                 rotated[0][0],
@@ -228,7 +229,7 @@ impl<const LANES: usize> PairBatch<LANES> {
             sums.cost[lane] += (xx + yy + zz) * squared[lane];
         }
         self.filled = 0;
-        // Without covariances a lane has no information, wherever its points are.
+        // Zero covariances give zero information, so stale positions in unused lanes do no harm.
         (self.source_covariance, self.target_covariance) = ([Self::ZERO; 6], [Self::ZERO; 6]);
     }
 }
@@ -242,7 +243,7 @@ mod tests {
     use super::*;
     use crate::{Covariance, Factor};
 
-    /// Every number of filled lanes, pairs without an inverse among them, each kernel.
+    /// Covers every number of filled lanes, singular and NaN covariances, and several kernels.
     #[test]
     fn equals_one_pair_after_the_other() {
         equals::<4>();

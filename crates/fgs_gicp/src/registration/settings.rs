@@ -1,29 +1,29 @@
-//! What a registration may be told, with defaults for a hand-held structured-light camera.
+//! Settings of a registration, with defaults for a hand-held structured-light camera.
 
-/// How much a pair with a large residual counts.
+/// Robust kernel: the weight of a correspondence as a function of its residual.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Kernel {
-    /// All pairs count fully.
+    /// Weight 1 for all correspondences.
     None,
     /// Weight `1 / (1 + (r/scale)^2)`.
     Cauchy {
-        /// Residual whose weight is a half, metres.
+        /// Residual at which the weight is 1/2, metres.
         scale_m: f64,
     },
-    /// Weight `1 / (1 + (r/scale)^2)^2`: outliers end up without influence.
+    /// Weight `1 / (1 + (r/scale)^2)^2`. The influence of outliers vanishes.
     GemanMcClure {
-        /// Residual whose weight is a quarter, metres.
+        /// Residual at which the weight is 1/4, metres.
         scale_m: f64,
     },
     /// Weight 1 up to the scale and `scale/r` beyond.
     Huber {
-        /// Residual from which on pairs count less, metres.
+        /// Residual above which correspondences are down-weighted, metres.
         scale_m: f64,
     },
 }
 
 impl Kernel {
-    /// The weight of a pair whose squared residual is given, square metres.
+    /// The weight of a correspondence, given its squared residual in square metres.
     #[inline]
     pub fn weight(&self, squared: f64) -> f64 {
         match *self {
@@ -44,15 +44,15 @@ impl Kernel {
 /// Settings of [`align`](crate::align).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Settings {
-    /// Points further apart are no pair.
+    /// Maximum distance between the two points of a correspondence.
     pub max_correspondence_distance_m: f32,
     /// Robust kernel.
     pub kernel: Kernel,
-    /// Number of linearisations of all points after which the search ends.
+    /// Maximum number of Gauss-Newton iterations over all points.
     pub max_iterations: usize,
-    /// Converged when a step turns less than this ...
+    /// Converged when the rotation of a step is below this ...
     pub rotation_epsilon_rad: f64,
-    /// ... and moves less than this.
+    /// ... and its translation is below this.
     pub translation_epsilon_m: f64,
 }
 

@@ -1,10 +1,10 @@
-//! Points and surface normals from a grid of pixels of a depth image.
+//! Points and surface normals on a regular grid of pixels of a depth image.
 //!
-//! Around each grid pixel a plane is fitted to the full-resolution depth. A plane's inverse depth
-//! is linear in pixel coordinates, `1/z = a du + b dv + c`, and the error of structured-light and
-//! stereo sensors is constant in inverse depth, so plain least squares is both exact on planes and
-//! the best estimate on real sensors. Pixels across a depth step are left out.
-//! Invariant: a normal has unit length and faces the camera.
+//! A plane is fitted to the full-resolution depth around each grid pixel. The inverse depth of a
+//! plane is linear in pixel coordinates, `1/z = a du + b dv + c`, and the error of structured-light
+//! and stereo sensors is constant in inverse depth. Unweighted least squares is therefore exact on
+//! planes and optimal for real sensors. Pixels across a depth discontinuity are excluded.
+//! Invariant: normals have unit length and face the camera.
 
 use fgs_geom::{Camera, Image, Kernel, dispatch};
 use nalgebra::Vector3;
@@ -12,25 +12,25 @@ use nalgebra::Vector3;
 use super::plane_fit::{InverseDepthPlane, fit_planes};
 use crate::{Covariance, Point};
 
-/// Which pixels to take and how to fit their surface.
+/// Which pixels to sample and how to fit the surface around them.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct DepthGrid {
-    /// Distance between grid pixels, in both directions.
+    /// Spacing of the grid pixels in both directions.
     pub stride_px: usize,
-    /// The plane is fitted to the pixels at most this far away in each direction.
+    /// Half-width of the window to whose pixels the plane is fitted.
     pub window_radius_px: usize,
-    /// Only every so many pixels of the window are read.
+    /// Sampling step within the window.
     pub window_step_px: usize,
-    /// Depth beyond this is ignored.
+    /// Larger depths are ignored.
     pub max_depth_m: f32,
-    /// A window pixel whose depth differs from the centre's by more than this share of it lies
-    /// across a depth step.
+    /// A window pixel is taken to lie across a depth discontinuity when its depth differs from that
+    /// of the centre by more than this fraction.
     pub max_depth_step: f32,
-    /// The fit is refused when its root mean square error, as a share of the depth, exceeds this.
+    /// The fit is rejected if its RMS error, as a fraction of the depth, exceeds this.
     pub max_fit_error: f64,
-    /// The fit is refused when the cosine between normal and viewing ray is below this.
+    /// The fit is rejected if the cosine between normal and viewing ray is below this.
     pub min_cosine: f64,
-    /// The fit is refused when fewer than this share of the window's pixels lie on the surface.
+    /// The fit is rejected if less than this fraction of the window's pixels lies on the surface.
     pub min_support: f64,
 }
 
@@ -49,29 +49,30 @@ impl Default for DepthGrid {
     }
 }
 
-/// A point of the depth image with its surface.
+/// A point of the depth image with its surface normal.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SurfacePoint {
     /// Column of the pixel.
     pub u: usize,
     /// Row of the pixel.
     pub v: usize,
-    /// The measured point, camera axes, metres.
+    /// The measured point, camera frame, metres.
     pub measured: Vector3<f64>,
-    /// Where the pixel's ray meets the fitted plane: the same point with the window's noise
-    /// averaged out.
+    /// Intersection of the pixel's ray with the fitted plane: the same point with the noise
+    /// averaged over the window.
     pub fitted: Vector3<f64>,
     /// Unit normal of the fitted plane, facing the camera.
     pub normal: Vector3<f64>,
 }
 
 impl SurfacePoint {
-    /// As a point of a registration: the fitted position, with the plane's disk as covariance.
+    /// Converts to a point for registration: the fitted position, with a disk in the plane as
+    /// covariance.
     ///
-    /// `thickness` is the variance along the normal relative to the tangent plane, [`MIN_EIGENVALUE`]
-    /// in GICP; exact depth allows far less. The standard deviation grows with `depth^noise_power`,
-    /// as the sensor's does: power 2 for structured light and stereo, 0 for depth that is equally
-    /// exact everywhere.
+    /// `thickness` is the variance along the normal relative to that in the tangent plane:
+    /// [`MIN_EIGENVALUE`] in GICP; exact depth allows far less. The standard deviation scales with
+    /// `depth^noise_power`, like the sensor noise: power 2 for structured light and stereo, 0 if
+    /// the accuracy does not depend on depth.
     ///
     /// [`MIN_EIGENVALUE`]: crate::MIN_EIGENVALUE
     pub fn disk(&self, thickness: f64, noise_power: f64) -> Point {
@@ -84,7 +85,7 @@ impl SurfacePoint {
 }
 
 impl DepthGrid {
-    /// The points with a reliable surface, row by row.
+    /// The points with a reliable surface normal, row by row.
     pub fn surface_points(&self, depth_m: &Image<f32>, camera: &Camera) -> Vec<SurfacePoint> {
         dispatch(AllPoints {
             grid: self,
@@ -93,7 +94,7 @@ impl DepthGrid {
         })
     }
 
-    /// The point of pixel (u, v); `None` where there is no depth or no reliable surface.
+    /// The point at pixel (u, v); `None` if there is no depth or no reliable surface normal.
     pub fn surface_point(
         &self,
         depth_m: &Image<f32>,
@@ -116,7 +117,8 @@ impl DepthGrid {
         let (u0, v0) = (u as f64, v as f64);
         let ray = camera.ray(u0, v0);
         let k = camera.intrinsics;
-        // From 1/z = a (u - u0) + b (v - v0) + c with u = fx x/z + cx: the plane m.p = 1.
+        // Insert u = fx x/z + cx, and likewise v, into 1/z = a (u - u0) + b (v - v0) + c: this
+        // gives the plane m.p = 1.
         let m = Vector3::new(
             plane.slope_u * k.fx,
             plane.slope_v * k.fy,
@@ -134,7 +136,7 @@ impl DepthGrid {
     }
 }
 
-/// Every point of a grid, compiled for each instruction set.
+/// All points of a grid, compiled for each instruction set.
 struct AllPoints<'a> {
     grid: &'a DepthGrid,
     depth_m: &'a Image<f32>,
@@ -158,7 +160,7 @@ impl Kernel for AllPoints<'_> {
         );
         for v in (first..depth_m.height()).step_by(stride) {
             for first in (first..depth_m.width()).step_by(WIDTH * stride) {
-                // Those beyond the image have no depth.
+                // Columns beyond the image yield no depth.
                 let columns: [usize; WIDTH] = std::array::from_fn(|i| first + i * stride);
                 let planes = fit_planes(grid, depth_m, columns, v);
                 for (u, plane) in columns.into_iter().zip(planes) {

@@ -66,7 +66,7 @@ fn the_fit_averages_noise_out() {
         (squared.sum::<f64>() / points.len() as f64).sqrt()
     };
     let (measured, fitted) = (rms(|p| p.measured), rms(|p| p.fitted));
-    // A mean of 25 samples has a fifth of their error; the border's have fewer.
+    // The mean of 25 samples has a fifth of their error; windows at the border have fewer samples.
     assert!(fitted <= 0.3 * measured, "{fitted} {measured}");
 }
 
@@ -96,7 +96,7 @@ fn depth_steps_do_not_bend_normals() {
 #[test]
 fn unreliable_surfaces_are_refused() {
     let (camera, grid) = (camera(), DepthGrid::default());
-    // A crease: two planes that meet in column 40.
+    // A crease: two planes that meet at column 40.
     let crease = Image::from_fn(camera.width, camera.height, |u, _| {
         1.0 + 0.01 * (u as f32 - 40.0).abs()
     });
@@ -106,10 +106,10 @@ fn unreliable_surfaces_are_refused() {
     };
     assert!(strict.surface_point(&crease, &camera, 40, 30).is_none());
     assert!(strict.surface_point(&crease, &camera, 60, 30).is_some());
-    // Grazing: the ray lies nearly in the plane.
+    // Grazing incidence: the ray lies nearly in the plane.
     let grazing = plane_depth(&Vector3::new(1.0, 0.0, -0.05).normalize(), 0.5);
     assert!(grid.surface_point(&grazing, &camera, 10, 30).is_none());
-    // Beyond the limit, without depth, alone, outside.
+    // Beyond the depth limit, without depth, isolated, outside the image.
     let far = DepthGrid {
         max_depth_m: 1.5,
         ..grid

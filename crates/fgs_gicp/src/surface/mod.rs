@@ -1,4 +1,4 @@
-//! Where points and their covariances come from.
+//! Extraction of points and their covariances.
 
 mod depth_grid;
 mod neighbors;

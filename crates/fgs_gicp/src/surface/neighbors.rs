@@ -1,12 +1,14 @@
-//! Covariances of a point cloud from each point's nearest neighbours, as the paper's tracker and
-//! small_gicp compute them: the reference for the covariances that a depth image gives directly.
+//! Covariances of a point cloud from the nearest neighbours of each point, as in the paper's
+//! tracker and small_gicp. Serves as reference for the covariances taken directly from a depth
+//! image.
 
 use nalgebra::{Matrix3, Vector3};
 
 use crate::{Covariance, PointMap};
 
-/// The regularised covariance of the `count` nearest neighbours (itself among them) of each point
-/// of `map` at `positions`, searched up to `max_distance_m`. `None` where they span no plane.
+/// For each of `positions`, the regularised covariance of its `count` nearest neighbours in `map`
+/// (including the point itself), searched up to `max_distance_m`. `None` where they do not span a
+/// plane.
 pub fn covariances_from_neighbors(
     map: &PointMap,
     positions: &[Vector3<f32>],
@@ -18,7 +20,7 @@ pub fn covariances_from_neighbors(
         .map(|position| {
             let neighbors = map.k_nearest(position, count, max_distance_m);
             let n = neighbors.len() as f64;
-            // Relative to the point itself, which keeps the digits.
+            // Relative to the point itself, which avoids cancellation.
             let offsets = neighbors
                 .iter()
                 .map(|neighbor| (neighbor.point.position - position).cast::<f64>());

@@ -24,7 +24,7 @@ fn a_plane_gives_disks_and_a_line_nothing() {
         );
     }
     let covariances = covariances_from_neighbors(&map, &positions, 9, 0.1);
-    // A point in the plane's interior, whose nine neighbours are a square.
+    // A point in the interior of the plane, whose nine neighbours form a square.
     let center = covariances[210].unwrap();
     let error = (center.matrix() - Covariance::disk(&normal, 1e-3).matrix()).amax();
     assert!(error <= 1e-3, "{error}");

@@ -1,7 +1,7 @@
-//! Planes fitted to the depth around several pixels of a row side by side, one a lane: least
-//! squares of `1/z = slope_u du + slope_v dv + center` over a window around each.
+//! Plane fits around several pixels of a row at once, one per SIMD lane: least squares of `1/z =
+//! slope_u du + slope_v dv + center` over a window around each pixel.
 //!
-//! Invariant: a lane's plane does not depend on the other lanes or on how many there are.
+//! Invariant: the plane of a lane does not depend on the other lanes or on their number.
 
 use fgs_geom::{Image, has_depth};
 
@@ -14,12 +14,12 @@ pub(super) struct InverseDepthPlane {
     pub slope_v: f64,
     /// Positive.
     pub center: f64,
-    /// Of pixel (u0, v0) itself.
+    /// Measured depth of pixel (u0, v0) itself.
     pub measured_depth_m: f32,
 }
 
-/// The planes around the pixels of row `v` at some columns; `None` where a pixel has no depth or
-/// lies outside, or the fit is refused.
+/// The planes around the pixels of row `v` in the given columns; `None` where a pixel has no depth
+/// or lies outside the image, or where the fit is rejected.
 #[inline(always)]
 pub(super) fn fit_planes<const N: usize>(
     grid: &DepthGrid,
@@ -28,10 +28,10 @@ pub(super) fn fit_planes<const N: usize>(
     v: usize,
 ) -> [Option<InverseDepthPlane>; N] {
     let step = grid.window_step_px.max(1);
-    // The window is centred, so that a full one gives a diagonal system.
+    // The window is centred, so that the normal equations of a full window are diagonal.
     let radius = grid.window_radius_px / step * step;
     let usable = |depth: f32| has_depth(depth) && depth <= grid.max_depth_m;
-    // NaN for lanes without a point: nothing compares equal to it.
+    // Lanes without depth are NaN, for which every comparison is false.
     let depths: [f32; N] = columns.map(|u| match depth_m.get(u, v) {
         Some(depth) if usable(depth) => depth,
         _ => f32::NAN,
@@ -61,7 +61,8 @@ pub(super) fn fit_planes<const N: usize>(
     let mut planes = [None; N];
     for lane in 0..N {
         let (plane, squared_error) = sums.solve(lane, centers[lane], depths[lane]);
-        // A relative error of inverse depth is one of depth. Without a plane, the centre is NaN.
+        // The relative errors of inverse depth and of depth are the same. A failed fit has a NaN
+        // centre and so does not pass the last test.
         let error = squared_error.max(0.0).sqrt() * f64::from(depths[lane]);
         if f64::from(sums.n[lane]) >= min_count && error <= grid.max_fit_error && plane.center > 0.0
         {
@@ -71,8 +72,8 @@ pub(super) fn fit_planes<const N: usize>(
     planes
 }
 
-/// Sums of du, dv, their products, and of the inverse depth relative to the centre's, which keeps
-/// the digits.
+/// Sums of du, dv, their products, and the inverse depth relative to that of the centre, which
+/// avoids cancellation.
 struct WindowSums<const N: usize> {
     n: [i32; N],
     u: [i32; N],
@@ -100,7 +101,8 @@ impl<const N: usize> WindowSums<N> {
         rr: [0.0; N],
     };
 
-    /// Adds `count` (0 or 1) pixels of relative inverse depth `r`, which is 0 for none.
+    /// Adds `count` (0 or 1) pixels. `r` is the inverse depth relative to the centre, 0 if `count`
+    /// is 0.
     #[inline(always)]
     fn add(&mut self, lane: usize, count: i32, du: i32, dv: i32, r: f32) {
         self.n[lane] += count;
@@ -115,8 +117,8 @@ impl<const N: usize> WindowSums<N> {
         self.rr[lane] += r * r;
     }
 
-    /// The plane and its mean squared error, by cofactors of the normal equations; NaN if the
-    /// pixels lie on a line.
+    /// The plane and its mean squared error, from the normal equations by cofactors; NaN if the
+    /// pixels are collinear.
     #[inline(always)]
     fn solve(&self, lane: usize, center: f32, measured_depth_m: f32) -> (InverseDepthPlane, f64) {
         let count = |sums: &[i32; N]| f64::from(sums[lane]);

@@ -4,7 +4,7 @@ use rand_pcg::Pcg64Mcg;
 
 use super::*;
 
-/// A rough surface with a step, holes and pixels that are no numbers.
+/// A rough surface with a depth step, holes and non-finite pixels.
 fn depth_with_everything() -> Image<f32> {
     let mut rng = Pcg64Mcg::seed_from_u64(6);
     Image::from_fn(61, 43, |u, v| {
@@ -18,7 +18,8 @@ fn depth_with_everything() -> Image<f32> {
     })
 }
 
-/// By a list of the window's pixels and the normal equations in f64; `None` for no plane.
+/// Reference implementation: lists the window's pixels and solves the normal equations in f64;
+/// `None` if there is no plane.
 fn reference(grid: &DepthGrid, depth_m: &Image<f32>, u: usize, v: usize) -> Option<[f64; 3]> {
     let depth = depth_m
         .get(u, v)
@@ -67,7 +68,7 @@ fn equals_the_normal_equations_whatever_the_lane() {
         };
         let (mut found, mut refused) = (0, 0);
         for v in 0..depth_m.height() {
-            // The last of them lie outside.
+            // The last columns lie outside the image.
             for first in 0..4 {
                 let columns: [usize; 16] = std::array::from_fn(|i| first + 4 * i);
                 let planes = fit_planes(&grid, &depth_m, columns, v);

@@ -1,16 +1,16 @@
-//! The points of one cell of a map, eight side by side, so that eight distances are computed and
-//! compared at once.
-//! Invariant: lanes without a point are NaN, so that no comparison finds them near.
+//! The points of one map cell, stored in groups of eight so that SIMD code computes and compares
+//! eight distances at once.
+//! Invariant: empty lanes are NaN, so that no comparison selects them.
 
 use std::array::from_fn;
 
 use nalgebra::Vector3;
 
-/// Points per group: one AVX register of `f32`, two of SSE or NEON.
+/// Points per group: one AVX register of `f32`, or two of SSE or NEON.
 pub(super) const LANES: usize = 8;
 type Lanes = [f32; LANES];
 
-/// Positions and slots of a cell's points, in no particular order.
+/// Positions and slots of the points in a cell, unordered.
 #[derive(Clone, Debug, Default)]
 pub(super) struct CellPoints {
     groups: Vec<Group>,
@@ -71,7 +71,7 @@ impl CellPoints {
         self.len += 1;
     }
 
-    /// Takes a slot's point out, if it is here; the last point takes its place.
+    /// Removes the point in a slot, if it is in this cell. The last point moves into the gap.
     pub(super) fn remove(&mut self, slot: u32) {
         let Some(at) = (0..self.len).find(|&i| self.groups[i / LANES].slots[i % LANES] == slot)
         else {
@@ -86,7 +86,7 @@ impl CellPoints {
         self.groups.truncate(self.len.div_ceil(LANES));
     }
 
-    /// Calls `visit(squared_distance, slot)` for every lane, with NaN for those without a point.
+    /// Calls `visit(squared_distance, slot)` for every lane; the distance is NaN for empty lanes.
     #[inline]
     pub(super) fn for_each(&self, query: &Vector3<f32>, mut visit: impl FnMut(f32, u32)) {
         for group in &self.groups {

@@ -1,5 +1,6 @@
-//! A sparse grid of cubic cells, hashed by their coordinates: where points are, by position.
-//! Invariant: a cell is in the table as long as it holds points.
+//! A sparse voxel grid: cubic cells hashed by their integer coordinates, for finding points by
+//! position.
+//! Invariant: a cell is in the table exactly while it holds points.
 
 use std::collections::HashMap;
 use std::hash::{BuildHasherDefault, Hash, Hasher};
@@ -9,7 +10,7 @@ use nalgebra::Vector3;
 use super::cell::CellPoints;
 use super::nearest_two::NearestTwo;
 
-/// Slots of points by the points' positions.
+/// Maps positions to the slots of points.
 #[derive(Clone, Debug)]
 pub(super) struct CellGrid {
     cell_size_m: f32,
@@ -26,7 +27,7 @@ struct Cell {
 }
 
 impl CellGrid {
-    /// An empty grid. A side that is not a positive number is replaced by 1 m.
+    /// An empty grid. A cell size that is not a positive number is replaced by 1 m.
     pub(super) fn new(cell_size_m: f32) -> Self {
         let cells_per_m = 1.0 / cell_size_m;
         let usable = cells_per_m.is_normal() && cells_per_m > 0.0;
@@ -42,13 +43,13 @@ impl CellGrid {
         self.cells.is_empty()
     }
 
-    /// Puts a slot at a finite position.
+    /// Inserts a slot at a finite position.
     pub(super) fn insert(&mut self, position: &Vector3<f32>, slot: u32) {
         let cell = self.cell_of(position);
         self.cells.entry(cell).or_default().push(position, slot);
     }
 
-    /// Takes a slot out from where it was put.
+    /// Removes a slot from the position at which it was inserted.
     pub(super) fn remove(&mut self, position: &Vector3<f32>, slot: u32) {
         let cell = self.cell_of(position);
         if let Some(points) = self.cells.get_mut(&cell) {
@@ -59,8 +60,8 @@ impl CellGrid {
         }
     }
 
-    /// The nearest and the next nearest point, exact as far as `max_distance_m + margin_m`, the
-    /// next one also only as far as the nearest's distance plus the margin.
+    /// The nearest and second nearest points. The nearest is exact up to `max_distance_m +
+    /// margin_m`; the second nearest also only up to the distance of the nearest plus the margin.
     #[inline(always)]
     pub(super) fn nearest_two(
         &self,
@@ -77,7 +78,8 @@ impl CellGrid {
         if let Some(points) = self.cells.get(&own) {
             search.add(points, query);
         }
-        // What the own cell holds usually leaves few other cells, if any, within reach.
+        // The cell that contains the query usually yields a point so close that few other cells, if
+        // any, remain within reach.
         self.for_cells_within(
             query,
             search.limit.sqrt(),
@@ -94,8 +96,8 @@ impl CellGrid {
         search.found
     }
 
-    /// Calls `visit(squared_distance, slot)` with every point at most `max_distance_m` away, and
-    /// some beyond or with NaN for none.
+    /// Calls `visit(squared_distance, slot)` for every point within `max_distance_m`. It is also
+    /// called for some points further away, and with NaN for empty lanes.
     pub(super) fn for_points_within(
         &self,
         query: &Vector3<f32>,
@@ -109,8 +111,8 @@ impl CellGrid {
         });
     }
 
-    /// Calls `visit(cell, squared_gap)` with every cell that may hold a point within `distance_m`
-    /// of `query`. No point of the cell is nearer than the gap.
+    /// Calls `visit(cell, squared_gap)` for every cell that may hold a point within `distance_m` of
+    /// `query`. The gap is a lower bound on the distance to the points of the cell.
     #[inline(always)]
     fn for_cells_within(
         &self,
@@ -124,12 +126,13 @@ impl CellGrid {
         let high = self.cell_of(&query.map(|x| x + reach));
         let side = |low: i32, high: i32| f64::from(high) - f64::from(low) + 1.0;
         let cells = side(low.x, high.x) * side(low.y, high.y) * side(low.z, high.z);
-        // A search far beyond the cells' size is quicker through the table itself.
+        // If the search radius is large compared with the cells, iterating over the table is
+        // faster.
         if cells > 64.0 && cells > self.cells.len() as f64 {
             self.cells.keys().for_each(|&cell| visit(cell, 0.0));
             return;
         }
-        // Along one axis, from the query to the cell.
+        // Distance along one axis from the query to the cell.
         let squared_gap = |cell: i32, x: f32| {
             let low = cell as f32 * self.cell_size_m;
             let gap = (low - x).max(x - low - self.cell_size_m) - rounding_m;
@@ -146,10 +149,10 @@ impl CellGrid {
         }
     }
 
-    /// Saturates far away, where one cell then holds all points.
+    /// Coordinates saturate far from the origin; a single cell then holds all points beyond.
     #[inline]
     fn cell_of(&self, position: &Vector3<f32>) -> Cell {
-        // Rounds down; `f32::floor` is a function call on baseline x86-64.
+        // Rounds down by hand, since `f32::floor` is a function call on baseline x86-64.
         let coordinate = |x: f32| {
             let scaled = x * self.cells_per_m;
             let truncated = scaled as i32;
@@ -163,10 +166,10 @@ impl CellGrid {
     }
 }
 
-/// A search under way.
+/// State of a search.
 struct Search {
     found: NearestTwo,
-    /// Points beyond this squared distance are of no interest.
+    /// Points beyond this squared distance are irrelevant.
     limit: f32,
     margin_m: f32,
 }
@@ -176,22 +179,24 @@ impl Search {
     fn add(&mut self, points: &CellPoints, query: &Vector3<f32>) {
         self.found.add(points, query);
         let nearest = self.found.squared_distance();
-        // Not below the nearest point itself by rounding: its equals are to be met too.
+        // Rounding must not push the limit below the nearest point: equally near points have to be
+        // found too.
         let limit = (nearest.sqrt() + self.margin_m).powi(2).max(nearest);
         self.limit = self.limit.min(limit);
     }
 }
 
-/// Bounds the rounding error of distances up to `distance_m` from `query`, which is that of the
-/// coordinates that they come from.
+/// Upper bound on the rounding error of distances up to `distance_m` from `query`, which comes from
+/// rounding of the coordinates.
 #[inline]
 pub(super) fn rounding_m(query: &Vector3<f32>, distance_m: f32) -> f32 {
     4.0 * f32::EPSILON * (query.amax() + distance_m)
 }
 
 impl Hash for Cell {
-    /// Neighbouring cells differ in low bits, which a multiplication carries up. The odd factors'
-    /// bits are well mixed: 2^64 over the three-dimensional golden ratio and its powers.
+    /// Neighbouring cells differ in their low bits; the multiplication carries these up. The
+    /// factors are odd and have well-mixed bits: 2^64 divided by the three-dimensional golden ratio
+    /// and its powers.
     #[inline]
     fn hash<H: Hasher>(&self, state: &mut H) {
         let factors = [
@@ -209,8 +214,8 @@ impl Hash for Cell {
     }
 }
 
-/// Takes a cell's hash as it is, but for the low bits, which a multiplication mixes least and the
-/// table uses most. Fixed, so that runs repeat.
+/// Passes on the hash of a cell, but mixes high bits into the low ones, which the multiplication
+/// mixes least and the table uses most. There is no random seed, so that runs are reproducible.
 #[derive(Default)]
 struct CellHasher(u64);
 

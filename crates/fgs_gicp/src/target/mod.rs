@@ -1,4 +1,4 @@
-//! What a source is aligned to.
+//! The target of a registration: a point map with nearest-neighbour search.
 
 mod cell;
 mod cell_grid;

@@ -1,7 +1,8 @@
-//! The nearest two of the points met, eight side by side, so that no branch depends on distances.
+//! The two nearest points seen so far, tracked in eight lanes so that no branch depends on
+//! distances.
 //!
-//! A point is one number: the squared distance's bits, which order as the distance does, above its
-//! slot. Invariant: NaN comes after every point, and so is never met.
+//! Each candidate is one integer key: the bits of its squared distance, which sort like the
+//! distance, above its slot. Invariant: NaN sorts after every point and so is never selected.
 
 use std::array::from_fn;
 
@@ -9,13 +10,13 @@ use nalgebra::Vector3;
 
 use super::cell::{CellPoints, LANES};
 
-/// The nearest two points of each lane.
+/// The two nearest points in each lane.
 pub(super) struct NearestTwo {
     nearest: [u64; LANES],
     next: [u64; LANES],
 }
 
-/// Comes after every point.
+/// Sorts after every point.
 const NO_POINT: u64 = key(f32::INFINITY, u32::MAX);
 
 #[inline(always)]
@@ -48,14 +49,14 @@ impl NearestTwo {
         (self.nearest, self.next) = (nearest, next);
     }
 
-    /// Of the nearest point; infinite if there is none.
+    /// Squared distance of the nearest point; infinite if there is none.
     #[inline(always)]
     pub(super) fn squared_distance(&self) -> f32 {
         squared_distance(min(&self.nearest))
     }
 
-    /// Of the next nearest point; infinite if there is none. Equal to the nearest one's if there
-    /// are several nearest points.
+    /// Squared distance of the second nearest point; infinite if there is none. Equal to that of
+    /// the nearest point in case of a tie.
     #[inline(always)]
     pub(super) fn next_squared_distance(&self) -> f32 {
         let nearest = min(&self.nearest);
@@ -65,7 +66,7 @@ impl NearestTwo {
         squared_distance(min(&others).min(min(&self.next)))
     }
 
-    /// Of the nearest point, or of one of them; `None` if no point was met.
+    /// Slot of the nearest point, or of one of them in case of a tie; `None` if there is no point.
     #[inline(always)]
     pub(super) fn slot(&self) -> Option<u32> {
         let nearest = min(&self.nearest);
@@ -73,7 +74,7 @@ impl NearestTwo {
     }
 }
 
-/// By halves, so that it takes as few steps as can be.
+/// A pairwise reduction, to keep the dependency chain short.
 #[inline(always)]
 fn min(lanes: &[u64; LANES]) -> u64 {
     let four: [u64; 4] = from_fn(|i| lanes[i].min(lanes[i + 4]));
@@ -87,7 +88,8 @@ mod tests {
 
     use super::*;
 
-    /// Cells of any number of points, also after some were taken out; several cells together.
+    /// Covers cells with any number of points, also after a removal, and searches over several
+    /// cells.
     #[test]
     fn equals_a_sorted_list() {
         let mut rng = Pcg64Mcg::seed_from_u64(7);

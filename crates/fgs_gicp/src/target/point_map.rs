@@ -1,9 +1,9 @@
-//! An incremental map of points with ids, kept in cubic cells, the target of a registration.
+//! An incremental map of points with ids, stored in cubic cells: the target of a registration.
 //!
-//! Inserting, moving and removing a point is O(1); the nearest point within a distance is found
-//! exactly, in constant time where the density of points is bounded. Cells of about three times
-//! the search distance are fastest.
-//! Invariant: of equally near points the one with the smallest id is found, so that answers do not
+//! Inserting, moving and removing a point is O(1). The nearest point within a given distance is
+//! found exactly, in constant time if the point density is bounded. Cells of about three times the
+//! search distance are fastest.
+//! Invariant: of equally near points the one with the smallest id is returned, so results do not
 //! depend on the order of insertion.
 
 use std::collections::HashMap;
@@ -25,19 +25,19 @@ pub struct Neighbor<'a> {
     pub squared_distance: f32,
 }
 
-/// Points with ids, to be searched by position.
+/// Points with ids, searchable by position.
 #[derive(Clone, Debug)]
 pub struct PointMap {
     cells: CellGrid,
     slots: Vec<(u64, Point)>,
     slot_from_id: HashMap<u64, u32>,
-    /// Slots whose points were removed, to be used again.
+    /// Slots of removed points, to be reused.
     free: Vec<u32>,
 }
 
 impl PointMap {
     /// An empty map with cubic cells of the given side. A side that is not a positive number is
-    /// replaced by 1 m: it affects speed alone.
+    /// replaced by 1 m, which affects only speed.
     pub fn new(cell_size_m: f32) -> Self {
         Self {
             cells: CellGrid::new(cell_size_m),
@@ -52,7 +52,7 @@ impl PointMap {
         self.slot_from_id.len()
     }
 
-    /// Whether there is no point.
+    /// Whether the map holds no points.
     pub fn is_empty(&self) -> bool {
         self.slot_from_id.is_empty()
     }
@@ -63,8 +63,8 @@ impl PointMap {
         Some(&self.slots[slot as usize].1)
     }
 
-    /// Puts a point under an id, in place of the one that had it. A point that is not finite is
-    /// not put in, and `false` returned.
+    /// Inserts a point under an id, replacing the point that had this id. A point that is not
+    /// finite is not inserted; the old one is removed all the same, and `false` is returned.
     pub fn insert(&mut self, id: u64, point: Point) -> bool {
         self.remove(id);
         if !point.is_finite() {
@@ -85,7 +85,7 @@ impl PointMap {
         true
     }
 
-    /// Takes the point with an id out and returns it.
+    /// Removes the point with this id and returns it.
     pub fn remove(&mut self, id: u64) -> Option<Point> {
         let slot = self.slot_from_id.remove(&id)?;
         let point = self.slots[slot as usize].1;
@@ -106,8 +106,9 @@ impl PointMap {
         None
     }
 
-    /// The nearest point at most `max_distance_m` away, with a radius in which it stays so. That
-    /// radius is at most half of `margin_m`; larger ones take longer to find.
+    /// The nearest point at most `max_distance_m` away, with the radius around the query within
+    /// which it remains the nearest. That radius is at most half of `margin_m`; a larger margin
+    /// makes the search slower.
     #[inline(always)]
     pub(crate) fn lasting_nearest(
         &self,
@@ -118,7 +119,8 @@ impl PointMap {
         let found = self.cells.nearest_two(query, max_distance_m, margin_m);
         let distance = found.squared_distance().sqrt();
         let (slot, radius) = if distance <= max_distance_m {
-            // No other point is nearer than this: those beyond the margin were not looked at.
+            // Lower bound on the distance of any other point, since points beyond the margin were
+            // not searched.
             let next = found.next_squared_distance().sqrt();
             let stays_nearest = 0.5 * (next.min(distance + margin_m) - distance);
             let slot = self.smallest_id(query, &found);
@@ -134,7 +136,7 @@ impl PointMap {
         }
     }
 
-    /// The point in a slot that a search has found.
+    /// The point in a slot returned by a search.
     #[inline]
     pub(crate) fn point_in(&self, slot: u32) -> &Point {
         &self.slots[slot as usize].1
@@ -172,7 +174,7 @@ impl PointMap {
         }
     }
 
-    /// Of the nearest points that a search has found, the one with the smallest id.
+    /// The nearest point found; in case of a tie, the one with the smallest id.
     #[inline(always)]
     fn smallest_id(&self, query: &Vector3<f32>, found: &NearestTwo) -> Option<u32> {
         let slot = found.slot()?;
@@ -183,7 +185,7 @@ impl PointMap {
         Some(self.smallest_id_at(query, nearest, slot))
     }
 
-    /// Of the points at a squared distance, `slot` among them, the one with the smallest id.
+    /// The point with the smallest id at exactly this squared distance; `slot` is one of them.
     #[cold]
     fn smallest_id_at(&self, query: &Vector3<f32>, squared_distance: f32, mut slot: u32) -> u32 {
         let id = |slot: u32| self.slots[slot as usize].0;
@@ -197,7 +199,8 @@ impl PointMap {
     }
 }
 
-/// The nearest point within a distance, and for how far around the query it stays so.
+/// The result of a nearest-neighbour search, with the radius around the query within which it
+/// remains valid. Lets registration skip searches after small steps.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct LastingNearest {
     pub(crate) slot: Option<u32>,
@@ -206,7 +209,7 @@ pub(crate) struct LastingNearest {
 }
 
 impl LastingNearest {
-    /// Knows nothing yet.
+    /// No search has been done yet.
     pub(crate) fn unknown() -> Self {
         Self {
             slot: None,
@@ -215,7 +218,7 @@ impl LastingNearest {
         }
     }
 
-    /// Whether a search at `query` would find the same point.
+    /// Whether a new search at `query` is certain to give the same result.
     #[inline]
     pub(crate) fn holds_at(&self, query: &Vector3<f32>) -> bool {
         self.radius_m > 0.0 && (query - self.query).norm_squared() < self.radius_m * self.radius_m

@@ -23,7 +23,7 @@ fn uniform(rng: &mut Pcg64Mcg, half_side: f32) -> Vector3<f32> {
     Vector3::from_fn(|_, _| rng.random_range(-half_side..half_side))
 }
 
-/// Clusters with duplicates, a plane, and a few far apart.
+/// Clusters with duplicates, a plane, and a few isolated points.
 fn clouds(rng: &mut Pcg64Mcg) -> Vec<Vec<Vector3<f32>>> {
     let mut clustered = Vec::new();
     for _ in 0..20 {
@@ -44,7 +44,7 @@ fn clouds(rng: &mut Pcg64Mcg) -> Vec<Vec<Vector3<f32>>> {
     ]
 }
 
-/// Ids and squared distances by looking at every point, nearest first.
+/// Squared distances and ids by brute force, nearest first.
 fn brute_force(positions: &[Vector3<f32>], query: &Vector3<f32>, max: f32) -> Vec<(f32, u64)> {
     let mut all: Vec<(f32, u64)> = positions
         .iter()
@@ -64,7 +64,7 @@ fn neighbors_are_those_of_brute_force() {
             let map = map_of(&positions, cell_size_m);
             let mut queries: Vec<_> = (0..300).map(|_| uniform(&mut rng, 0.35)).collect();
             queries.extend(positions.iter().step_by(7));
-            // Halfway between grid points: ties.
+            // Halfway between grid points, to produce ties.
             queries.extend((0..20).map(|i| Vector3::new(i as f32 * 0.005, 0.005, 0.05)));
             for query in &queries {
                 for max in [0.0, 0.01, 0.03, 0.3, f32::INFINITY] {
@@ -80,7 +80,8 @@ fn neighbors_are_those_of_brute_force() {
     }
 }
 
-/// Put in from the largest id down: in one place, and equally far to all sides in several cells.
+/// Points are inserted in order of decreasing id: once all at the same place, and once at equal
+/// distances on all sides, in several cells.
 #[test]
 fn of_equally_near_points_the_smallest_id_is_found() {
     for radius in [0.0, 0.015625] {
@@ -110,8 +111,8 @@ fn a_lasting_neighbor_lasts() {
             let query = uniform(&mut rng, 0.2);
             let lasting = map.lasting_nearest(&query, max, 0.01);
             let kept = lasting.slot.map(|slot| map.slots[slot as usize].0);
-            // Just as far as it should last: anywhere, away from the nearest point, and towards
-            // each of the others.
+            // Move just less than the radius: in a random direction, away from the nearest point,
+            // and towards each of the neighbours.
             let neighbors = map.k_nearest(&query, 8, 0.1);
             let mut directions = vec![uniform(&mut rng, 1.0)];
             if let Some(nearest) = neighbors.first() {
@@ -132,7 +133,7 @@ fn a_lasting_neighbor_lasts() {
             }
         }
     }
-    // Both happen often enough for the test to mean something.
+    // Both cases must occur often enough for the test to be meaningful.
     assert!(lasted > 1000 && changed > 100, "{lasted} {changed}");
 }
 
@@ -145,7 +146,7 @@ fn removing_and_replacing() {
         let removed = map.remove(id).unwrap();
         assert_eq!(removed.position, positions[id as usize]);
         assert!(map.remove(id).is_none());
-        // Out of every query's reach.
+        // Out of reach of every query.
         positions[id as usize] = Vector3::repeat(1e6);
     }
     for id in (1..500).step_by(3) {
