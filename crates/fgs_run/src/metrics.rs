@@ -196,7 +196,7 @@ mod tests {
             metrics.table(),
             "  frames     6 (2 lost, 3 damaged, 1 dropped), 4 keyframes\n\
              \x20 ATE        1.250 cm rmse, 1.000 cm mean\n\
-             \x20 PSNR       25.50 dB where depth is measured, 24.00 dB everywhere\n\
+             \x20 PSNR       25.50 dB where depth is measured, 24.00 dB everywhere, 26.50 dB with exposure\n\
              \x20 SSIM       0.8750\n\
              \x20 depth L1   1.50 cm\n\
              \x20 speed      10.00 frames/s at 10.0 iterations a frame, tracking 20.0 ms\n\
