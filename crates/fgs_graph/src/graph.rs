@@ -77,6 +77,21 @@ impl KeyframeGraph {
         }
     }
 
+    /// Moves keyframes as [`move_keyframes`](Self::move_keyframes) does, and their edges with them:
+    /// for keyframes that were measured anew against what their edges were measured against.
+    pub fn remeasure_keyframes(&mut self, moves: &[(KeyframeId, Se3)]) {
+        self.move_keyframes(moves);
+        for edge in &mut self.edges {
+            let is_moved = |end| moves.iter().any(|(id, _)| *id == end);
+            if (is_moved(edge.from) || is_moved(edge.to))
+                && let (Some(from), Some(to)) =
+                    (self.poses.get(&edge.from), self.poses.get(&edge.to))
+            {
+                edge.from_from_to = from.inverse() * *to;
+            }
+        }
+    }
+
     /// Adds a measurement.
     ///
     /// # Errors

@@ -382,7 +382,7 @@ fn take_moved(
     if moves.is_empty() {
         return;
     }
-    graph.move_keyframes(&moves);
+    graph.remeasure_keyframes(&moves);
     tracker.move_keyframes(&moves);
     events.publish(|| {
         let poses = moves.iter().map(|(id, _)| (*id, graph.pose(*id)));
