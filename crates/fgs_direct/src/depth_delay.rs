@@ -11,7 +11,7 @@
 //! changes a motion of ten degrees by a sixth of a pixel, which is less than the bias of
 //! registration.
 
-use fgs_geom::{DepthSensor, Se3, skew};
+use fgs_geom::{DepthSensor, Se3};
 use nalgebra::{Matrix6, Vector6};
 
 /// Maximum number of Gauss-Newton steps. Five are typical; some dozens are needed where it is
@@ -141,7 +141,7 @@ fn row(motion: &SensorMotion, sensor: &DepthSensor) -> Row {
     let [w_first, w_second] = motion.velocities;
     Row {
         residual: (predicted * motion.color_second_from_first.inverse()).log(),
-        by_delay: w_second - adjoint(&predicted) * w_first,
+        by_delay: w_second - predicted.adjoint() * w_first,
     }
 }
 
@@ -165,17 +165,6 @@ fn student_covariance(rows: &[Row], start: Matrix6<f64>) -> Option<Matrix6<f64>>
 
 fn student_weight(residual: &Vector6<f64>, information: &Matrix6<f64>) -> f64 {
     (STUDENT + 6.0) / (STUDENT + residual.dot(&(information * residual)))
-}
-
-/// Adjoint: transforms a twist `[omega, v]` from frame `b` to frame `a`.
-fn adjoint(a_from_b: &Se3) -> Matrix6<f64> {
-    let rotation = *a_from_b.rotation.to_rotation_matrix().matrix();
-    let mut adjoint = Matrix6::zeros();
-    adjoint.fixed_view_mut::<3, 3>(0, 0).copy_from(&rotation);
-    adjoint.fixed_view_mut::<3, 3>(3, 3).copy_from(&rotation);
-    let lever = skew(&a_from_b.translation) * rotation;
-    adjoint.fixed_view_mut::<3, 3>(3, 0).copy_from(&lever);
-    adjoint
 }
 
 #[cfg(test)]

@@ -8,6 +8,7 @@
 use fgs_geom::Se3;
 use nalgebra::{Matrix6, SMatrix, SVector, Vector3, Vector6};
 
+use crate::residual::{self, noise_of};
 use crate::{IntensityImage, IntensityPyramid};
 
 type Vector8 = SVector<f64, 8>;
@@ -128,23 +129,11 @@ fn row(
     second: &IntensityImage,
     state: &State,
 ) -> Option<(f64, Vector8)> {
-    let y = state.second_from_first.transform(point);
-    let pixel = second.camera.project(&y)?;
-    let [value, du, dv] = second.sample(pixel.x, pixel.y)?.map(f64::from);
-    let k = second.camera.intrinsics;
-    let (gx, gy) = (du * k.fx / y.z, dv * k.fy / y.z);
-    let by_point = Vector3::new(gx, gy, -(gx * y.x + gy * y.y) / y.z);
-    let turn = y.cross(&by_point);
-    let jacobian = Vector8::from([
-        turn.x,
-        turn.y,
-        turn.z,
-        by_point.x,
-        by_point.y,
-        by_point.z,
-        -brightness,
-        -1.0,
-    ]);
+    let (value, by_pose) = residual::brightness(second, &state.second_from_first.transform(point))?;
+    // Perturbed from the left, the motion moves the point the other way than the camera's pose does.
+    let mut jacobian = Vector8::zeros();
+    jacobian.fixed_rows_mut::<6>(0).copy_from(&-by_pose);
+    (jacobian[6], jacobian[7]) = (-brightness, -1.0);
     Some((value - state.gain * brightness - state.offset, jacobian))
 }
 
@@ -161,10 +150,7 @@ fn linearize(
         return None;
     }
     let mut sizes: Vec<f64> = rows.iter().map(|(residual, _)| residual.abs()).collect();
-    let middle = sizes.len() / 2;
-    let median = *sizes.select_nth_unstable_by(middle, f64::total_cmp).1;
-    // Standard deviation of Gaussian noise with this median absolute value.
-    let noise = (1.4826 * median).max(MIN_NOISE);
+    let noise = noise_of(&mut sizes).max(MIN_NOISE);
     let mut hessian = Matrix8::zeros();
     let mut gradient = Vector8::zeros();
     for (residual, jacobian) in &rows {

@@ -16,31 +16,27 @@ pub struct IntensityImage {
 impl IntensityImage {
     /// Converts the colour image of a frame at full resolution.
     pub fn of_frame(frame: &RgbdFrame) -> Self {
-        let mut pixels = frame.color.map(|rgb| {
+        let pixels = frame.color.map(|rgb| {
             let weighted = rgb
                 .iter()
                 .zip(LUMA)
                 .map(|(c, weight)| f32::from(*c) * weight);
             weighted.sum::<f32>() / 255.0
         });
-        if let Some(valid) = &frame.color_valid {
-            for (pixel, valid) in pixels.data_mut().iter_mut().zip(valid.data()) {
-                if !valid {
-                    *pixel = f32::NAN;
-                }
-            }
-        }
-        Self {
-            camera: frame.camera,
-            pixels,
-        }
+        Self::masked(frame.camera, pixels, frame.color_valid.as_deref())
     }
 
     /// Converts a rendered image with colours from 0 to 1. Pixels where `is_seen` is false become
     /// NaN. Both images have the size of the camera.
     pub fn of_render(camera: Camera, color: &Image<[f32; 3]>, is_seen: &Image<bool>) -> Self {
-        let mut pixels = color.map(|rgb| rgb.iter().zip(LUMA).map(|(c, w)| c * w).sum());
-        for (pixel, seen) in pixels.data_mut().iter_mut().zip(is_seen.data()) {
+        let pixels = color.map(|rgb| rgb.iter().zip(LUMA).map(|(c, w)| c * w).sum());
+        Self::masked(camera, pixels, Some(is_seen))
+    }
+
+    /// NaN where `is_seen` is false.
+    fn masked(camera: Camera, mut pixels: Image<f32>, is_seen: Option<&Image<bool>>) -> Self {
+        let seen = is_seen.into_iter().flat_map(Image::data);
+        for (pixel, seen) in pixels.data_mut().iter_mut().zip(seen) {
             if !seen {
                 *pixel = f32::NAN;
             }

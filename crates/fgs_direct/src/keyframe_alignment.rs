@@ -9,7 +9,7 @@
 use fgs_geom::Se3;
 use nalgebra::{Matrix2, Matrix2x6, Matrix6, Vector2, Vector6};
 
-use crate::residual::brightness;
+use crate::residual::{brightness, noise_of};
 use crate::{IntensityImage, IntensityPyramid, Reference, ReferencePoint};
 
 /// Degrees of freedom of the residuals' distribution, as measured on RGB-D cameras (Kerl, Sturm and
@@ -68,7 +68,7 @@ pub struct PosedReference<'a> {
     pub world_from_reference: Se3,
 }
 
-/// Aligns an image with keyframes, over the pyramid's levels from the coarsest to `finest`. Starts at
+/// Aligns an image with keyframes, over the pyramid's levels from the coarsest to the finest. Starts at
 /// the prior's pose. Levels where fewer than 50 points can be compared are left out. `None` if none
 /// is left, and if brightness contradicts the prior: then one of the two is wrong, and far alignments
 /// are mostly false minima.
@@ -76,12 +76,11 @@ pub fn align_with_keyframes(
     image: &IntensityPyramid,
     references: &[PosedReference],
     prior: &PosePrior,
-    finest: usize,
 ) -> Option<PhotometricAlignment> {
     let mut exposures = vec![Exposure::default(); references.len()];
     let mut pose = prior.world_from_camera;
     let mut result = None;
-    for level in (finest..image.levels.len()).rev() {
+    for (level, image) in image.levels.iter().enumerate().rev() {
         let pairs: Vec<Pair> = references
             .iter()
             .filter_map(|posed| {
@@ -94,12 +93,12 @@ pub fn align_with_keyframes(
         if pairs.len() < references.len() {
             continue;
         }
-        let image = &image.levels[level];
         for _ in 0..MAX_ITERATIONS {
-            let Some(noise) = noise(image, &pairs, &pose, &exposures) else {
+            let rows: Vec<Vec<Row>> = pairs.iter().map(|pair| pair.rows(image, &pose)).collect();
+            let Some(noise) = noise(&rows, &exposures) else {
                 break;
             };
-            let system = System::new(image, &pairs, &pose, &exposures, noise);
+            let system = System::new(&rows, &exposures, noise);
             let off = (prior.world_from_camera.inverse() * pose).log();
             let hessian = system.information + prior.information;
             let step = -(hessian
@@ -157,6 +156,10 @@ struct ExposureSystem {
 }
 
 impl Exposure {
+    fn residual(&self, row: &Row) -> f64 {
+        row.here - self.gain * row.there - self.offset
+    }
+
     fn update(&mut self, solved: &ExposureSystem, step: &Vector6<f64>) {
         let change = -solved.inverse_hessian * (solved.gradient + solved.by_pose * step);
         self.gain += change.x;
@@ -164,42 +167,39 @@ impl Exposure {
     }
 }
 
-/// Calls `visit` with each point's brightness in the reference, in the image, and its derivative.
-fn for_each_point(
-    image: &IntensityImage,
-    pair: &Pair,
-    pose: &Se3,
-    mut visit: impl FnMut(f64, f64, &Vector6<f64>),
-) {
-    let camera_from_reference = pose.inverse() * pair.world_from_reference;
-    let rotation = camera_from_reference.rotation.to_rotation_matrix();
-    for point in pair.points {
-        let position = rotation * point.position + camera_from_reference.translation;
-        if let Some((value, jacobian)) = brightness(image, &position) {
-            visit(point.intensity.into(), value, &jacobian);
-        }
+/// A point's brightness in the reference and in the image, and the latter's derivative by the pose.
+struct Row {
+    there: f64,
+    here: f64,
+    jacobian: Vector6<f64>,
+}
+
+impl Pair<'_> {
+    /// Of the points that the image shows.
+    fn rows(&self, image: &IntensityImage, pose: &Se3) -> Vec<Row> {
+        let camera_from_reference = pose.inverse() * self.world_from_reference;
+        let rotation = camera_from_reference.rotation.to_rotation_matrix();
+        let row = |point: &ReferencePoint| {
+            let position = rotation * point.position + camera_from_reference.translation;
+            let (here, jacobian) = brightness(image, &position)?;
+            Some(Row {
+                there: point.intensity.into(),
+                here,
+                jacobian,
+            })
+        };
+        self.points.iter().filter_map(row).collect()
     }
 }
 
-/// The residuals' standard deviation, from their median absolute value.
-fn noise(
-    image: &IntensityImage,
-    pairs: &[Pair],
-    pose: &Se3,
-    exposures: &[Exposure],
-) -> Option<f64> {
-    let mut sizes = Vec::new();
-    for (pair, exposure) in pairs.iter().zip(exposures) {
-        for_each_point(image, pair, pose, |there, here, _| {
-            sizes.push((here - exposure.gain * there - exposure.offset).abs());
-        });
-    }
-    if sizes.len() < MIN_POINTS {
-        return None;
-    }
-    let middle = sizes.len() / 2;
-    let (_, median, _) = sizes.select_nth_unstable_by(middle, f64::total_cmp);
-    Some((1.4826 * *median).max(MIN_NOISE))
+/// The residuals' standard deviation; `None` if they are too few to tell.
+fn noise(rows: &[Vec<Row>], exposures: &[Exposure]) -> Option<f64> {
+    let mut sizes: Vec<f64> = rows
+        .iter()
+        .zip(exposures)
+        .flat_map(|(rows, exposure)| rows.iter().map(|row| exposure.residual(row).abs()))
+        .collect();
+    (sizes.len() >= MIN_POINTS).then(|| noise_of(&mut sizes).max(MIN_NOISE))
 }
 
 /// The normal equations, gains and offsets eliminated (Schur complement).
@@ -211,38 +211,32 @@ struct System {
 }
 
 impl System {
-    fn new(
-        image: &IntensityImage,
-        pairs: &[Pair],
-        pose: &Se3,
-        exposures: &[Exposure],
-        noise: f64,
-    ) -> Self {
+    fn new(rows: &[Vec<Row>], exposures: &[Exposure], noise: f64) -> Self {
         let mut system = Self {
             information: Matrix6::zeros(),
             gradient: Vector6::zeros(),
             exposures: Vec::new(),
             points: 0,
         };
-        for (pair, exposure) in pairs.iter().zip(exposures) {
+        for (rows, exposure) in rows.iter().zip(exposures) {
             // The prior on gain and offset.
             let mut by_exposure =
                 Matrix2::from_diagonal(&Vector2::new(GAIN_SIGMA.powi(-2), OFFSET_SIGMA.powi(-2)));
             let mut gradient = by_exposure * Vector2::new(exposure.gain - 1.0, exposure.offset);
             let mut by_pose = Matrix2x6::zeros();
-            for_each_point(image, pair, pose, |there, here, jacobian| {
-                let residual = here - exposure.gain * there - exposure.offset;
+            for row in rows {
+                let residual = exposure.residual(row);
                 let weight =
                     (STUDENT_T + 1.0) / (STUDENT_T + (residual / noise).powi(2)) / (noise * noise);
-                let weighted = weight * jacobian;
-                system.information += weighted * jacobian.transpose();
+                let weighted = weight * row.jacobian;
+                system.information += weighted * row.jacobian.transpose();
                 system.gradient += residual * weighted;
-                let affine = Vector2::new(-there, -1.0);
+                let affine = Vector2::new(-row.there, -1.0);
                 by_exposure += weight * affine * affine.transpose();
                 gradient += weight * residual * affine;
                 by_pose += affine * weighted.transpose();
                 system.points += 1;
-            });
+            }
             // The prior makes it invertible.
             let inverse_hessian = by_exposure.try_inverse().unwrap_or_else(Matrix2::zeros);
             let eliminated = by_pose.transpose() * inverse_hessian;
@@ -273,14 +267,14 @@ mod tests {
     fn found(scene: &Scene, gain: f64, brighter: f64, prior: &PosePrior) -> PhotometricAlignment {
         let keyframe = scene.frame(&Se3::identity(), 1.0, 0.0);
         let pyramid = IntensityPyramid::of_frame(&keyframe, LEVELS);
-        let reference = Reference::new(&pyramid, &keyframe.depth_m);
+        let reference = Reference::new(&pyramid, &keyframe.depth_m, &keyframe.camera);
         let frame = scene.frame(&offset(), gain, brighter);
         let pyramid = IntensityPyramid::of_frame(&frame, LEVELS);
         let posed = PosedReference {
             reference: &reference,
             world_from_reference: Se3::identity(),
         };
-        align_with_keyframes(&pyramid, &[posed], prior, 0).unwrap()
+        align_with_keyframes(&pyramid, &[posed], prior).unwrap()
     }
 
     fn unknown() -> PosePrior {
@@ -358,7 +352,7 @@ mod tests {
         let scene = Scene::new(7, true);
         let keyframe = scene.frame(&Se3::identity(), 1.0, 0.0);
         let pyramid = IntensityPyramid::of_frame(&keyframe, LEVELS);
-        let reference = Reference::new(&pyramid, &keyframe.depth_m);
+        let reference = Reference::new(&pyramid, &keyframe.depth_m, &keyframe.camera);
         let frame = IntensityPyramid::of_frame(&scene.frame(&offset(), 1.0, 0.0), LEVELS);
         let aligned = |sigma: f64| {
             let posed = PosedReference {
@@ -369,7 +363,7 @@ mod tests {
                 information: Matrix6::identity() * sigma.powi(-2),
                 ..unknown()
             };
-            align_with_keyframes(&frame, &[posed], &prior, 0)
+            align_with_keyframes(&frame, &[posed], &prior)
         };
         // The offset has a norm of 0.034.
         assert!(aligned(0.03).is_some() && aligned(0.004).is_none());
@@ -380,12 +374,12 @@ mod tests {
         let scene = Scene::new(6, true);
         let blank = scene.frame(&Se3::identity(), 0.0, 0.5);
         let pyramid = IntensityPyramid::of_frame(&blank, LEVELS);
-        let reference = Reference::new(&pyramid, &blank.depth_m);
+        let reference = Reference::new(&pyramid, &blank.depth_m, &blank.camera);
         let posed = PosedReference {
             reference: &reference,
             world_from_reference: Se3::identity(),
         };
-        assert!(align_with_keyframes(&pyramid, &[posed], &unknown(), 0).is_none());
-        assert!(align_with_keyframes(&pyramid, &[], &unknown(), 0).is_none());
+        assert!(align_with_keyframes(&pyramid, &[posed], &unknown()).is_none());
+        assert!(align_with_keyframes(&pyramid, &[], &unknown()).is_none());
     }
 }

@@ -1,6 +1,6 @@
 //! Selects the points of a keyframe that constrain motion best: those with strong image gradients.
 
-use fgs_geom::{Image, has_depth};
+use fgs_geom::{Camera, Image, has_depth};
 use nalgebra::Vector3;
 
 use crate::{IntensityImage, IntensityPyramid};
@@ -33,13 +33,15 @@ pub struct Reference {
 }
 
 impl Reference {
-    /// Selects the points of a keyframe. `depth_m` has the resolution of the finest pyramid level.
-    pub fn new(pyramid: &IntensityPyramid, depth_m: &Image<f32>) -> Self {
-        let levels = pyramid.levels.iter().enumerate();
+    /// Selects the points of a keyframe. `depth_m` is an image of `depth_camera`, of which every level
+    /// of the pyramid is a halving or the whole.
+    pub fn new(pyramid: &IntensityPyramid, depth_m: &Image<f32>, depth_camera: &Camera) -> Self {
+        let points_of = |image: &IntensityImage| {
+            let size = depth_camera.intrinsics.fx / image.camera.intrinsics.fx;
+            points(image, depth_m, size.round() as usize)
+        };
         Self {
-            levels: levels
-                .map(|(level, image)| points(image, depth_m, 1 << level))
-                .collect(),
+            levels: pyramid.levels.iter().map(points_of).collect(),
         }
     }
 }

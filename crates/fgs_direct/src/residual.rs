@@ -46,6 +46,16 @@ pub(crate) fn brightness(
     Some((f64::from(value), jacobian))
 }
 
+/// Standard deviation of Gaussian noise whose absolute values have the median of these; 0 if there are
+/// none. Changes their order.
+pub(crate) fn noise_of(sizes: &mut [f64]) -> f64 {
+    if sizes.is_empty() {
+        return 0.0;
+    }
+    let middle = sizes.len() / 2;
+    1.4826 * *sizes.select_nth_unstable_by(middle, f64::total_cmp).1
+}
+
 #[cfg(test)]
 mod tests {
     use fgs_geom::Image;

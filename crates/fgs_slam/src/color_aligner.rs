@@ -9,12 +9,10 @@ use fgs_direct::{
 };
 use fgs_geom::{KeyframeId, RgbdFrame, Se3};
 
-/// Levels of the pyramid: at the coarsest, a pixel is eight.
-const LEVELS: usize = 4;
+use crate::keyframes::Keyframe;
 
-/// The finest level that is aligned: half resolution. At full resolution noise and the sensor's own
-/// interpolation outweigh what is gained.
-pub(crate) const FINEST: usize = 1;
+/// Levels of the pyramid, the frame itself included: at the coarsest, a pixel is eight.
+const LEVELS: usize = 4;
 
 /// So many keyframes are kept to align with.
 const MAX_KEYFRAMES: usize = 64;
@@ -36,9 +34,14 @@ struct ReferenceKeyframe {
 }
 
 impl ColorAligner {
-    /// A frame's brightness at the resolutions that are aligned.
+    /// A frame's brightness at the resolutions that are aligned, from the half on: at full resolution
+    /// noise and the sensor's own interpolation outweigh what is gained.
     pub fn pyramid(frame: &RgbdFrame) -> IntensityPyramid {
-        IntensityPyramid::of_frame(frame, LEVELS)
+        let mut pyramid = IntensityPyramid::of_frame(frame, LEVELS);
+        if pyramid.levels.len() > 1 {
+            pyramid.levels.remove(0);
+        }
+        pyramid
     }
 
     /// The pose of a frame, given what geometry knows of it; `None` if too little is in view.
@@ -54,7 +57,7 @@ impl ColorAligner {
                 world_from_reference: keyframe.world_from_camera,
             })
             .collect();
-        align_with_keyframes(pyramid, &references, prior, FINEST)
+        align_with_keyframes(pyramid, &references, prior)
     }
 
     /// The newest keyframe, and the oldest of which enough is in view: the one is most alike, the
@@ -73,18 +76,13 @@ impl ColorAligner {
         self.keyframes.back().into_iter().chain(oldest)
     }
 
-    /// A frame became a keyframe; its depth image must be registered to its colour image.
-    pub fn add(
-        &mut self,
-        id: KeyframeId,
-        world_from_camera: Se3,
-        pyramid: &IntensityPyramid,
-        frame: &RgbdFrame,
-    ) {
+    /// Takes a keyframe; its depth image must be registered to its colour image.
+    pub fn add(&mut self, keyframe: &Keyframe, pyramid: &IntensityPyramid) {
+        let frame = &keyframe.frame;
         self.keyframes.push_back(ReferenceKeyframe {
-            id,
-            world_from_camera,
-            reference: Reference::new(pyramid, &frame.depth_m),
+            id: keyframe.id,
+            world_from_camera: keyframe.world_from_camera,
+            reference: Reference::new(pyramid, &frame.depth_m, &frame.camera),
         });
         if self.keyframes.len() > MAX_KEYFRAMES {
             self.keyframes.pop_front();

@@ -9,7 +9,7 @@ use fgs_direct::{
 use fgs_geom::{Image, Se3, View};
 use fgs_splat::{GaussianModel, ModelError};
 
-use crate::color_aligner::{ColorAligner, FINEST};
+use crate::color_aligner::ColorAligner;
 use crate::keyframes::Keyframe;
 
 /// A pixel of a render shows the map if it is this opaque.
@@ -27,8 +27,7 @@ pub fn align_with_map(
     let Some(information) = keyframe.information else {
         return Ok(None);
     };
-    let mut pyramid = ColorAligner::pyramid(&keyframe.frame);
-    pyramid.levels.drain(..FINEST.min(pyramid.levels.len() - 1));
+    let pyramid = ColorAligner::pyramid(&keyframe.frame);
     let world_from_camera = keyframe.world_from_camera;
     // Only as fine as it is compared.
     let camera = pyramid.levels[0].camera;
@@ -44,6 +43,7 @@ pub fn align_with_map(
     let reference = Reference::new(
         &IntensityPyramid::new(finest, pyramid.levels.len()),
         &depth_m,
+        &camera,
     );
     let posed = PosedReference {
         reference: &reference,
@@ -53,6 +53,6 @@ pub fn align_with_map(
         world_from_camera,
         information,
     };
-    let aligned = align_with_keyframes(&pyramid, &[posed], &prior, 0);
+    let aligned = align_with_keyframes(&pyramid, &[posed], &prior);
     Ok(aligned.map(|aligned| aligned.world_from_camera))
 }

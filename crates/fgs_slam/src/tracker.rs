@@ -46,7 +46,7 @@ pub struct Tracker {
     motion: MotionModel,
     newest_keyframe: Option<KeyframeId>,
     /// The last trusted frame, unless it became a keyframe.
-    unmapped: Option<(Arc<RgbdFrame>, IntensityPyramid, Located)>,
+    unmapped: Option<(Arc<RgbdFrame>, Located)>,
 }
 
 /// A trusted pose of the depth camera.
@@ -109,8 +109,8 @@ impl Tracker {
         let mut keyframe = None;
         let mut world_from_camera = None;
         if let Some(registered) = registered {
-            let pyramid = ColorAligner::pyramid(frame);
-            let located = self.locate(frame, &registered, &pyramid);
+            let pyramid = self.config.color.then(|| ColorAligner::pyramid(frame));
+            let located = self.locate(frame, &registered, pyramid.as_ref());
             world_from_camera = Some(located.world_from_camera);
             self.motion.observe(
                 located.world_from_camera * located.color_from_depth,
@@ -118,11 +118,13 @@ impl Tracker {
             );
             let overlap_share = quality.inliers as f64 / points.len() as f64;
             if let Some(kind) = self.policy.decide(overlap_share, may_become_keyframe) {
-                keyframe = Some(self.make_keyframe(kind, frame, &pyramid, &located));
+                let made = self.make_keyframe(kind, frame, &located, &points);
+                if let Some(pyramid) = &pyramid {
+                    self.color.add(&made, pyramid);
+                }
+                keyframe = Some(made);
             }
-            self.unmapped = keyframe
-                .is_none()
-                .then(|| (Arc::clone(frame), pyramid, located));
+            self.unmapped = keyframe.is_none().then(|| (Arc::clone(frame), located));
         }
         quality.duration = start.elapsed();
         Tracked {
@@ -135,8 +137,8 @@ impl Tracker {
     /// The keyframe that the last trusted frame becomes when the recording ends, so that the map
     /// reaches as far as the camera did; `None` if it already is one.
     pub fn finish(&mut self) -> Option<Keyframe> {
-        let (frame, pyramid, located) = self.unmapped.take()?;
-        Some(self.make_keyframe(KeyframeKind::Mapping, &frame, &pyramid, &located))
+        let (frame, located) = self.unmapped.take()?;
+        Some(self.make_keyframe(KeyframeKind::Mapping, &frame, &located, &[]))
     }
 
     /// The keyframe that the camera's pose is relative to.
@@ -159,7 +161,7 @@ impl Tracker {
             .find(|(id, _)| Some(*id) == self.newest_keyframe);
         if let Some((_, new_from_old)) = newest {
             self.motion.move_world(new_from_old);
-            if let Some((.., located)) = &mut self.unmapped {
+            if let Some((_, located)) = &mut self.unmapped {
                 located.world_from_camera = *new_from_old * located.world_from_camera;
             }
         }
@@ -217,7 +219,7 @@ impl Tracker {
         &self,
         frame: &RgbdFrame,
         registered: &Registered,
-        pyramid: &IntensityPyramid,
+        pyramid: Option<&IntensityPyramid>,
     ) -> Located {
         let velocity = self
             .motion
@@ -232,7 +234,7 @@ impl Tracker {
                 depth_by_color.transpose() * information * depth_by_color
             }),
         };
-        if self.config.color
+        if let Some(pyramid) = pyramid
             && let Some(information) = &mut located.information
         {
             *information *= self.config.depth_trust;
@@ -261,17 +263,22 @@ impl Tracker {
     fn make_keyframe(
         &mut self,
         kind: KeyframeKind,
-        frame: &Arc<RgbdFrame>,
-        pyramid: &IntensityPyramid,
+        measured: &Arc<RgbdFrame>,
         located: &Located,
+        points: &[SurfacePoint],
     ) -> Keyframe {
         let id = self.next_keyframe_id();
         let world_from_camera = located.world_from_camera;
-        let frame = with_registered_depth(frame, &located.color_from_depth);
-        self.color.add(id, world_from_camera, pyramid, &frame);
+        let frame = with_registered_depth(measured, &located.color_from_depth);
         let new_points = match kind {
             KeyframeKind::Mapping => Vec::new(),
-            KeyframeKind::Tracking => self.extend_map(id, &frame, &world_from_camera),
+            KeyframeKind::Tracking if Arc::ptr_eq(&frame, measured) => {
+                self.extend_map(id, &frame, &world_from_camera, points)
+            }
+            KeyframeKind::Tracking => {
+                let points = self.grid.surface_points(&frame.depth_m, &frame.camera);
+                self.extend_map(id, &frame, &world_from_camera, &points)
+            }
         };
         Keyframe {
             id,
@@ -283,17 +290,20 @@ impl Tracker {
         }
     }
 
-    /// Lets what a keyframe's depth image adds join the sparse map.
+    /// Lets what a keyframe's surface points add join the sparse map.
     fn extend_map(
         &mut self,
         id: KeyframeId,
         frame: &RgbdFrame,
         world_from_camera: &Se3,
+        points: &[SurfacePoint],
     ) -> Vec<NewPoint> {
-        let mut points = self.grid.surface_points(&frame.depth_m, &frame.camera);
         // A sparse point is a gaussian too, and needs a colour.
-        points.retain(|point| frame.has_color(point.u, point.v));
-        let to_world = |point: &SurfacePoint| self.disk(point).transformed(world_from_camera);
+        let points: Vec<&SurfacePoint> = points
+            .iter()
+            .filter(|point| frame.has_color(point.u, point.v))
+            .collect();
+        let to_world = |point: &&SurfacePoint| self.disk(point).transformed(world_from_camera);
         let in_world: Vec<Point> = points.par_iter().map(to_world).collect();
         let spacing_m = self.keyframes.new_point_distance_m;
         let joined = self.map.extend(id, &in_world, spacing_m);
