@@ -95,13 +95,6 @@ impl CameraFile {
         depth_scale: f64,
     ) -> Result<Self, CameraError> {
         let camera = Camera::new(camera.width, camera.height, camera.intrinsics)?;
-        let refuse = |key, value, expected: &str| {
-            Err(CameraError {
-                key,
-                value,
-                expected: expected.into(),
-            })
-        };
         if camera.width * camera.height > MAX_PIXELS {
             return refuse("height", camera.height as f64, "at most 100 megapixels");
         }
@@ -127,13 +120,6 @@ impl CameraFile {
     /// # Errors
     /// If a value is out of range.
     pub fn with_depth_sensor(mut self, sensor: DepthSensor) -> Result<Self, CameraError> {
-        let refuse = |key, value, expected: &str| {
-            Err(CameraError {
-                key,
-                value,
-                expected: expected.into(),
-            })
-        };
         if !(-1.0..=1.0).contains(&sensor.delay_secs) {
             return refuse("depth_delay_secs", sensor.delay_secs, "-1 to 1 s");
         }
@@ -288,6 +274,14 @@ impl From<CameraFile> for Keys {
             }),
         }
     }
+}
+
+fn refuse(key: &'static str, value: f64, expected: &str) -> Result<CameraFile, CameraError> {
+    Err(CameraError {
+        key,
+        value,
+        expected: expected.into(),
+    })
 }
 
 /// The line, from 1, that a span of bytes begins on; `None` for the empty span of what is missing.

@@ -38,7 +38,7 @@ pub struct RgbdFrame {
     /// Which colour pixels the camera saw; `None` if it saw all of them. The border that removing
     /// lens distortion leaves was not seen. Frames of one recording share the mask.
     pub color_valid: Option<Arc<Image<bool>>>,
-    /// Where and when the depth image was measured. Not finite values are refused.
+    /// Where and when the depth image was measured.
     pub depth_sensor: DepthSensor,
 }
 

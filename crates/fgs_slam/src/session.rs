@@ -244,11 +244,7 @@ impl Slam {
         self.graph.move_keyframes(moves);
         self.tracker.move_keyframes(moves);
         self.mapping.move_keyframes(&Moves::from(moves))?;
-        let graph = &self.graph;
-        self.events.publish(|| {
-            let poses = moves.iter().map(|(id, _)| (*id, graph.pose(*id)));
-            SlamEvent::Correction(poses.filter_map(|(id, pose)| Some((id, *pose?))).collect())
-        });
+        publish_correction(&self.events, &self.graph, moves);
         Ok(())
     }
 
@@ -384,6 +380,11 @@ fn take_moved(
     }
     graph.remeasure_keyframes(&moves);
     tracker.move_keyframes(&moves);
+    publish_correction(events, graph, &moves);
+}
+
+/// Tells who looks on where moved keyframes now are.
+fn publish_correction(events: &EventHub, graph: &KeyframeGraph, moves: &[(KeyframeId, Se3)]) {
     events.publish(|| {
         let poses = moves.iter().map(|(id, _)| (*id, graph.pose(*id)));
         SlamEvent::Correction(poses.filter_map(|(id, pose)| Some((id, *pose?))).collect())

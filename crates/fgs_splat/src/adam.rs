@@ -175,13 +175,10 @@ impl Adam {
             (&mut self.first, rotation, left),
             (&mut self.second, &squared(rotation), &squared(left)),
         ] {
-            let [x, y, z, qw, qx, qy, qz, rest @ ..] = moments[i].0;
-            let [x, y, z] = transformed(rotation, &[x, y, z]);
-            let [qw, qx, qy, qz] = transformed(left, &[qw, qx, qy, qz]);
-            let [s0, s1, s2, opacity, r, g, b, ..] = rest;
-            moments[i].0 = [
-                x, y, z, qw, qx, qy, qz, s0, s1, s2, opacity, r, g, b, 0.0, 0.0,
-            ];
+            let moments = &mut moments[i].0;
+            let [x, y, z, qw, qx, qy, qz, ..] = *moments;
+            moments[..3].copy_from_slice(&transformed(rotation, &[x, y, z]));
+            moments[3..7].copy_from_slice(&transformed(left, &[qw, qx, qy, qz]));
         }
     }
 

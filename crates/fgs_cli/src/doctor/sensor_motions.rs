@@ -330,11 +330,6 @@ mod tests {
                 ..truth
             };
             let found = depth_delay(&watch.motions, &given).unwrap();
-            eprintln!(
-                "{found:?} {} {:?}",
-                watch.motions.len(),
-                median(watch.speeds_px.clone())
-            );
             assert!((found.delay_secs - delay_secs).abs() <= 5e-4, "{found:?}");
         }
     }
