@@ -1,5 +1,5 @@
-// Moves each touched gaussian against its gradient; twin of `adam.rs`, together with the
-// derivative of the regulariser, `losses/regularizer.rs`.
+// An Adam step of each touched gaussian; counterpart of `adam.rs`. Adds the regulariser's
+// derivative, as in `losses/regularizer.rs`.
 
 @group(0) @binding(0) var<uniform> optimizer: Optimizer;
 @group(0) @binding(1) var<storage, read_write> counts: array<atomic<u32>>;
@@ -8,13 +8,13 @@
 @group(0) @binding(4) var<storage, read> gradients: array<Gradient>;
 @group(0) @binding(5) var<storage, read_write> first_moments: array<array<vec4<f32>, 4>>;
 @group(0) @binding(6) var<storage, read_write> second_moments: array<array<vec4<f32>, 4>>;
-// By the steps before: the bias corrections of the moments.
+// Bias corrections 1 / (1 - beta_1^t) and 1 / sqrt(1 - beta_2^t), indexed by t - 1.
 @group(0) @binding(7) var<storage, read> corrections: array<vec2<f32>>;
-// Per workgroup, the regulariser's sum.
+// Sum of the regulariser, per workgroup.
 @group(0) @binding(8) var<storage, read_write> regularizer_sums: array<f32>;
 
-// Whether all of them, and their squares, are finite: below 2^64. Compares bits: a shader may take
-// it that there is no NaN or infinity, also as a result.
+// Whether all components have finite squares: magnitudes below 2^64. Compares bits: shader compilers
+// may assume that neither operands nor results are NaN or infinite.
 fn are_usable(v: vec4<f32>) -> bool {
     return all((bitcast<vec4<u32>>(v) & vec4(0x7fffffffu)) < vec4(0x5f800000u));
 }

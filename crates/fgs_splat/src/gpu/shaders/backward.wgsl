@@ -1,7 +1,8 @@
-// The derivative of `forward.wgsl`; twin of `cpu/backward.rs`. Walks a tile's list back to front,
-// some entries at a time. First a thread for each pixel finds each entry's weight there and the
-// loss's derivative by its exponent; then a thread for each entry and quarter of the pixels sums
-// what depends on them. So no sum goes over threads but the last, over four, and its order is fixed.
+// The derivative of `forward.wgsl`; counterpart of `cpu/backward.rs`. Walks a tile's list back to
+// front in batches, in two phases. In the first, each thread takes a pixel and computes each entry's
+// weight there and the loss's derivative by its exponent. In the second, each thread takes an entry
+// and sums over a quarter of the pixels. Only the final sum of four quarters crosses threads, in a
+// fixed order.
 
 @group(0) @binding(0) var<uniform> view: View;
 @group(0) @binding(1) var<storage, read> ranges: array<vec2<u32>>;
@@ -9,17 +10,17 @@
 @group(0) @binding(3) var<storage, read> slot_splats: array<u32>;
 @group(0) @binding(4) var<storage, read> splats: array<Splat>;
 @group(0) @binding(5) var<storage, read> pixel_states: array<PixelState>;
-// By colour and depth.
+// The loss's derivatives by colour and depth, and by alpha.
 @group(0) @binding(6) var<storage, read> cotangents: array<vec4<f32>>;
 @group(0) @binding(7) var<storage, read> d_alpha: array<f32>;
-// Per slot, what its pixels add up to.
+// Per slot, the sums over its tile's pixels; see `add_up`.
 @group(0) @binding(8) var<storage, read_write> sums: array<array<vec4<f32>, 4>>;
 
-// Entries at a time, one for each thread of a quarter.
+// Entries per batch: one for each thread that works on the same quarter.
 const BATCH: u32 = 16u;
 const QUARTERS: u32 = TILE_PIXELS / BATCH;
 const QUARTER_PIXELS: u32 = TILE_PIXELS / QUARTERS;
-// One more than there are pixels, so that threads of different entries use different banks.
+// Padded by one against bank conflicts between threads of different entries.
 const STRIDE: u32 = TILE_PIXELS + 1u;
 
 var<workgroup> batch: array<Splat, BATCH>;
@@ -54,8 +55,9 @@ fn backward(
     d_rendered[thread] = d;
     min_n_rays[thread] = min_n_ray;
     atomicMax(&max_used, state.used);
-    // A barrier on either side, for the arrays as well.
+    // Has a barrier before and after the load; they also cover the arrays.
     let used = workgroupUniformLoad(&max_used);
+    // Entries that no pixel reached: not taken.
     for (var i = range.x + used + thread; i < range.y; i += TILE_PIXELS) {
         sums[slots[i]][3].z = 0.0;
     }
@@ -63,7 +65,7 @@ fn backward(
     let entry = thread % BATCH;
     let quarter = thread / BATCH;
     var transmittance = state.transmittance;
-    // The loss's derivative along all that has been walked over, as one colour.
+    // Sum over the entries visited so far of weight times the loss's derivative by the weight.
     var behind = 0.0;
     for (var end = used; end > 0u;) {
         let len = min((end - 1u) % BATCH + 1u, end);
@@ -89,7 +91,7 @@ fn backward(
                 let plane_depth = splat.plane_offset / sample.n_ray;
                 let depth = select(splat.center_depth, plane_depth, sample.on_plane);
                 let value = dot(d.xyz, splat.color) + fma(d.w, depth, d_own_alpha);
-                // d weight / d alpha = before; each weight behind scales with 1 - alpha.
+                // d weight / d alpha = before; every weight behind has the factor 1 - alpha.
                 let d_sample_alpha = before * value - behind * inverse_rest;
                 transmittance = before;
                 behind = fma(weight, value, behind);
@@ -105,7 +107,7 @@ fn backward(
         }
         workgroupBarrier();
 
-        // Four sums a thread, neighbours in memory.
+        // A row of four sums per thread; neighbouring threads write neighbouring rows.
         let summed = thread / 4u;
         if summed < len {
             let part = thread % 4u;
@@ -120,7 +122,7 @@ fn backward(
     }
 }
 
-// What the pixels of a quarter of the tile add up to for an entry.
+// An entry's sums over a quarter of the tile's pixels.
 fn add_up(tile: vec2<u32>, entry: u32, quarter: u32, thread: u32) {
     let splat = batch[entry];
     let origin = vec2<f32>(tile * u32(TILE)) - splat.mean2d;
@@ -161,7 +163,7 @@ fn add_up(tile: vec2<u32>, entry: u32, quarter: u32, thread: u32) {
             center += h;
         }
     }
-    // In the order of `cpu/project_vjp.rs`.
+    // In the order that `gradient_of` in `project_vjp.wgsl` expects.
     partial_sums[0][thread] = vec4(color, g);
     partial_sums[1][thread] = vec4(by_pq, by_squares.xy);
     partial_sums[2][thread] = vec4(by_squares.z, center, ht, htt);

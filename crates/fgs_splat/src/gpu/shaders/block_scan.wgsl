@@ -1,7 +1,8 @@
-// Places in order for those of all threads' items that are kept: each workgroup, a block, leaves its
-// sum; a single one finds where each block starts; then each thread knows its own place.
+// Exclusive prefix sum over all threads of a dispatch, in three dispatches: each workgroup stores
+// its block's sum (`count_in_block`), one workgroup scans these (`scan_block_sums`), and each thread
+// adds its prefix within the workgroup (`place_in_block`). Call all three in uniform control flow.
 
-// Leaves the block's sum. To be called by all threads.
+// Stores the sum of the workgroup's values.
 fn count_in_block(value: u32, block: u32, lane: Lane) {
     let sums = workgroup_scan(value, lane);
     if lane.thread == 0u {
@@ -9,18 +10,18 @@ fn count_in_block(value: u32, block: u32, lane: Lane) {
     }
 }
 
-// The sum of the values of all threads before this one. To be called by all threads.
+// The sum of the values of all threads of the dispatch before this one.
 fn place_in_block(value: u32, block: u32, lane: Lane) -> u32 {
     return block_sums[block] + workgroup_scan(value, lane).x;
 }
 
 const BLOCKS_PER_THREAD: u32 = 8u;
 
-// Whether the sum of all is no number of 32 bits.
+// 1 if the total does not fit into 32 bits.
 var<workgroup> wrapped: atomic<u32>;
 
-// Replaces each of the first `blocks` sums by the sum of those before it; returns the sum of all,
-// or the largest number if that is less.
+// Exclusive scan of the first `blocks` block sums, in place. Returns the total, saturated at the
+// largest u32.
 fn scan_block_sums(blocks: u32, lane: Lane) -> u32 {
     if lane.thread == 0u {
         atomicStore(&wrapped, 0u);

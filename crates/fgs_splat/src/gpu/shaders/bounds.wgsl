@@ -1,16 +1,16 @@
-// Which tiles a gaussian's support touches; twin of `cpu/bounds.rs` with tiles in place of blocks.
+// Which tiles a splat's support touches; counterpart of `cpu/bounds.rs`, with tiles for its blocks.
 
 struct Support {
     // Squared radius in whitened coordinates.
     radius2: f32,
-    // The rightmost point of the ellipse has this dy, the leftmost its negative.
+    // dy of the ellipse's rightmost point; the leftmost has its negative.
     rightmost_dy: f32,
-    // Pixels; the first is greater than the last where there is none.
+    // Rows of pixels, both inclusive; first > last if there is none.
     first_row: i32,
     last_row: i32,
 }
 
-// First and last integer in [low, high] and in [0, size).
+// First and last integer within both [low, high] and [0, size); first > last if there is none.
 fn pixels(low: f32, high: f32, size: u32) -> vec2<i32> {
     let end = f32(size);
     let first = i32(ceil(clamp(low, -1.0, end)));
@@ -19,7 +19,7 @@ fn pixels(low: f32, high: f32, size: u32) -> vec2<i32> {
 }
 
 fn support_of(splat: Splat) -> Support {
-    // Rounding may put a pixel's exponent a little off: the support grows by more than that.
+    // Where alpha reaches ALPHA_MIN, plus more than the rounding error of a pixel's exponent.
     let exact = log2(splat.opacity / ALPHA_MIN);
     var support: Support;
     support.radius2 = max(exact * 1.001 + 1e-3, 0.0);
@@ -34,13 +34,14 @@ fn support_of(splat: Splat) -> Support {
     return support;
 }
 
+// dx of the ellipse's right (side = 1) or left (side = -1) edge at this dy.
 fn edge(splat: Splat, support: Support, dy: f32, side: f32) -> f32 {
     let q = splat.whiten_yy * dy;
     let across = side * sqrt(max(support.radius2 - q * q, 0.0));
     return (across - splat.whiten_xy * dy) / splat.whiten_xx;
 }
 
-// First and after the last tile that is touched in a row of tiles; equal where none is.
+// The half-open range of tile columns touched in a row of tiles.
 fn touched_columns(splat: Splat, support: Support, tile_row: i32) -> vec2<u32> {
     let top = max(tile_row * TILE, support.first_row);
     let bottom = min(tile_row * TILE + TILE - 1, support.last_row);

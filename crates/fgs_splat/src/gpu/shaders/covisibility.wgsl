@@ -1,4 +1,4 @@
-// How many gaussians a view's set shares with each other set. A workgroup for each set.
+// How many gaussians a view's set has in common with every set. One workgroup per set.
 
 @group(0) @binding(0) var<uniform> covisibility_: Covisibility;
 @group(0) @binding(1) var<storage, read> visible_sets: array<u32>;

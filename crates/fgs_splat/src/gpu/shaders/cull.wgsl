@@ -1,15 +1,15 @@
-// Counts the gaussians in view, and forgets what the view showed before.
+// Marks and counts the gaussians in view, and clears the view's visibility set.
 //
-// Two passes over all gaussians, this and `project.wgsl`, keep what is in view in the order of the
-// gaussians: places come from prefix sums, not from a race. What is in view is decided here alone:
-// another pipeline's compiler may round the same function otherwise.
+// Together with `project.wgsl` this is a stream compaction: indices come from prefix sums, not from
+// an atomic counter, so that splats keep the order of the gaussians. `project` reads the marks
+// instead of repeating the test, which could round differently in another pipeline.
 
 @group(0) @binding(1) var<storage, read> gaussians: array<Gaussian>;
 @group(0) @binding(2) var<storage, read_write> block_sums: array<u32>;
 @group(0) @binding(3) var<storage, read_write> counts: array<u32>;
 @group(0) @binding(4) var<storage, read_write> dispatches: array<u32>;
 @group(0) @binding(5) var<storage, read_write> visible_sets: array<u32>;
-// Per gaussian, 1 if it is in view.
+// Per gaussian: 1 if it is in view, else 0.
 @group(0) @binding(6) var<storage, read_write> in_view: array<u32>;
 
 @compute @workgroup_size(GROUP)
@@ -30,7 +30,7 @@ fn count_in_view(
     count_in_block(seen, block.x, lane);
 }
 
-// Where each block's gaussians go; starts the counts of a step.
+// Scans the block sums, resets the step's counts and sizes its indirect dispatches.
 @compute @workgroup_size(GROUP)
 fn place_in_view(lane: Lane) {
     let visible = scan_block_sums((view.count + GROUP - 1u) / GROUP, lane);

@@ -1,16 +1,17 @@
-// Blends each tile's list front to back; twin of `cpu/forward.rs`. A thread for each pixel.
+// Blends each tile's list front to back; counterpart of `cpu/forward.rs`. One workgroup per tile,
+// one thread per pixel.
 
 @group(0) @binding(0) var<uniform> view: View;
 @group(0) @binding(1) var<storage, read> ranges: array<vec2<u32>>;
 @group(0) @binding(2) var<storage, read> slots: array<u32>;
 @group(0) @binding(3) var<storage, read> slot_splats: array<u32>;
 @group(0) @binding(4) var<storage, read> splats: array<Splat>;
-// Colour, and depth in metres.
+// RGB, and the sum of weight times depth, metres.
 @group(0) @binding(5) var<storage, read_write> rendered: array<vec4<f32>>;
 @group(0) @binding(6) var<storage, read_write> pixel_states: array<PixelState>;
 
 var<workgroup> batch: array<Splat, TILE_PIXELS>;
-// Pixels that can take more, by the parity of the batch.
+// 1 if any pixel is not saturated yet, by the parity of the batch.
 var<workgroup> open_pixels: array<atomic<u32>, 2>;
 
 @compute @workgroup_size(TILE_PIXELS)
@@ -38,7 +39,7 @@ fn forward(
         if open {
             atomicStore(&open_pixels[parity], 1u);
         }
-        // A barrier on either side, for the batch as well.
+        // Has a barrier before and after the load; they also cover `batch`.
         if workgroupUniformLoad(&open_pixels[parity]) == 0u {
             break;
         }

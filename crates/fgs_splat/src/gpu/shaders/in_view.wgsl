@@ -1,5 +1,5 @@
-// Whether a gaussian may touch the image: first by its centre and longest axis alone, as
-// `cpu/cull.rs` does, then by its support.
+// Frustum culling: first by a gaussian's centre and longest axis, as in `cpu/cull.rs`, then by the
+// pixel rows of its support.
 
 fn is_in_view(gaussian: Gaussian) -> bool {
     let center = camera_axes(gaussian.mean);

@@ -1,20 +1,21 @@
-// What both passes of the loss read. A measured pixel holds its colour, eight bits a channel with
-// the fourth byte 0 where the camera did not see it, and the bits of its depth in metres.
+// Shared by the two loss passes.
 
 @group(0) @binding(0) var<uniform> view: View;
 @group(0) @binding(1) var<uniform> loss: Loss;
+// Per pixel: RGB with 8 bits each and, in the fourth byte, 1 if the camera saw the colour, else 0;
+// then the bits of the depth in metres.
 @group(0) @binding(2) var<storage, read> measured: array<vec2<u32>>;
 @group(0) @binding(3) var<storage, read> rendered: array<vec4<f32>>;
-// Of three values for each channel, a plane of pixels each: derivatives of the sum of 1 - SSIM by
-// the windowed mean of d and s together and by the windowed means of d^2 and s^2.
+// [channel][3][pixel]: derivatives of the sum of 1 - SSIM by the windowed mean of d plus that of s,
+// by that of d^2 and by that of s^2.
 @group(0) @binding(4) var<storage, read_write> moments: array<f32>;
-// Per workgroup, a plane each: sums of 1 - SSIM, of the absolute errors of colour, and of depth.
+// [3][workgroup]: sums of 1 - SSIM, of absolute colour errors and of absolute depth errors (m).
 @group(0) @binding(5) var<storage, read_write> loss_sums: array<f32>;
 
-// Pixels along each side of a workgroup, those around it included that a window reaches.
+// Side of a workgroup's block of pixels including the window's halo.
 const PADDED: u32 = SIDE + 2u * RADIUS;
 
-// Compares bits: a shader may take it that there is no NaN or infinity.
+// Compares bits: shader compilers may assume that there is no NaN or infinity.
 fn has_depth(bits: u32) -> bool {
     return bits > 0u && bits < 0x7f800000u;
 }

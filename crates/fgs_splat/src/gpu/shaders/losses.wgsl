@@ -1,4 +1,5 @@
-// The loss's derivatives by every rendered value; twin of `losses/color.rs` and `losses/depth.rs`.
+// The loss's derivatives by the rendered colour, depth and alpha; counterpart of `losses/color.rs`
+// and `losses/depth.rs`.
 
 @group(0) @binding(6) var<storage, read> pixel_states: array<PixelState>;
 @group(0) @binding(7) var<storage, read_write> cotangents: array<vec4<f32>>;
@@ -10,7 +11,7 @@ var<workgroup> images: array<array<f32, PADDED * PADDED>, 3>;
 var<workgroup> rows: array<vec3<f32>, PADDED * SIDE>;
 
 fn is_out_of_range(v: vec4<f32>) -> bool {
-    // Compares bits: a shader may take it that there is no NaN.
+    // Compares bits: shader compilers may assume that there is no NaN.
     return any((bitcast<vec4<u32>>(v) & vec4(0x7fffffffu)) > vec4(bitcast<u32>(MAX_RENDERED)));
 }
 

@@ -1,9 +1,10 @@
-// Moves the gaussians anchored to some keyframes, and turns Adam's moments with them; see
-// `rigid_motion.rs`. A thread for each gaussian; one past the last may move what means nothing.
+// Moves the gaussians anchored to some keyframes and transforms Adam's moments with them; see
+// `rigid_motion.rs`. One thread per gaussian. Threads past the last gaussian need no check: buffers
+// hold whole workgroups, and what lies behind the last gaussian is unused.
 
 @group(0) @binding(0) var<storage, read> counts: array<u32>;
 @group(0) @binding(1) var<storage, read> anchors: array<u32>;
-// By ascending anchor.
+// Sorted by anchor.
 @group(0) @binding(2) var<storage, read> motions: array<Motion>;
 @group(0) @binding(3) var<storage, read_write> gaussians: array<Gaussian>;
 @group(0) @binding(4) var<storage, read_write> first_moments: array<array<vec4<f32>, 4>>;
@@ -11,7 +12,7 @@
 
 @compute @workgroup_size(GROUP)
 fn move_anchored(@builtin(global_invocation_id) id: vec3<u32>) {
-    // Behind a step that is void: the host will ask again.
+    // After a void step: the host will resubmit the motion.
     if counts[OVERFLOWED] != 0u || counts[OUT_OF_RANGE] != 0u {
         return;
     }

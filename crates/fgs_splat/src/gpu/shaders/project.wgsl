@@ -1,14 +1,14 @@
-// Writes the splats of the gaussians in view, and how many tiles each touches.
+// Writes the splats of the gaussians in view and the number of tiles that each touches.
 
 @group(0) @binding(1) var<storage, read> gaussians: array<Gaussian>;
 @group(0) @binding(2) var<storage, read_write> block_sums: array<u32>;
 @group(0) @binding(3) var<storage, read_write> splats: array<Splat>;
 // The gaussian of each splat.
 @group(0) @binding(4) var<storage, read_write> gaussian_of: array<u32>;
-// Per splat, what its place among the others depends on.
+// Per splat: its sort key, and its index as the value to be sorted.
 @group(0) @binding(5) var<storage, read_write> depth_keys: array<u32>;
 @group(0) @binding(6) var<storage, read_write> order: array<u32>;
-// Per splat, its first slot (written later) and their number.
+// Per splat: its first slot (written by `write_touches`) and its number of slots.
 @group(0) @binding(7) var<storage, read_write> touches: array<vec2<u32>>;
 @group(0) @binding(8) var<storage, read> in_view: array<u32>;
 
@@ -36,7 +36,7 @@ fn project(
     }
     splats[place] = splat;
     gaussian_of[place] = index;
-    // Of positive numbers the bits have the same order.
+    // Positive floats sort like their bits.
     depth_keys[place] = bitcast<u32>(splat.center_depth);
     order[place] = place;
     touches[place] = vec2(0u, number);

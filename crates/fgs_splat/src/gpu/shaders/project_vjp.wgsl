@@ -1,5 +1,5 @@
-// The derivative of `project.wgsl`; twin of `cpu/project_vjp.rs`: adds up each splat's sums in the
-// order of its slots, and carries them to the gaussian's parameters.
+// The derivative of `project.wgsl`; counterpart of `cpu/project_vjp.rs`. Adds up each splat's sums
+// in slot order and propagates them to the gaussian's parameters.
 
 @group(0) @binding(1) var<storage, read_write> counts: array<atomic<u32>>;
 @group(0) @binding(2) var<storage, read> gaussians: array<Gaussian>;
@@ -8,28 +8,28 @@
 @group(0) @binding(5) var<storage, read> sums: array<array<vec4<f32>, 4>>;
 // Per splat.
 @group(0) @binding(6) var<storage, read_write> gradients: array<Gradient>;
-// Bits of the gaussians that contributed to a pixel when each view was last rendered.
+// [set][word]: a bit for each gaussian that contributed to a pixel when the view was last rendered.
 @group(0) @binding(7) var<storage, read_write> visible_sets: array<atomic<u32>>;
 
-// A splat with more slots is summed by the whole workgroup: a single thread would keep the device
-// waiting for it, milliseconds if the splat fills the image.
+// Splats with more slots are summed by the whole workgroup: for one that fills the image a single
+// thread would take milliseconds, with the rest of the device idle.
 const MANY_SLOTS: u32 = 512u;
-// Slots that are fetched together.
+// Slots per batch.
 const BATCH: u32 = 2u * GROUP / 4u;
 
 var<workgroup> batch: array<array<vec4<f32>, 4>, BATCH>;
-// First slot and number of slots of each splat that has many, and how many splats that are.
+// First slot and number of slots of each of the workgroup's large splats, and their number.
 var<workgroup> large: array<vec2<u32>, GROUP>;
 var<workgroup> large_count: u32;
 var<workgroup> batch_sums: array<vec4<f32>, 4>;
 
-// What a slot adds to one of the four sums: nothing unless a pixel took it. Zero added changes no
-// bit of a sum that began with zero.
+// A row of a slot's sums, or zero if no pixel took the splat there: then the row is stale. Adding
+// zero to a sum that started at zero changes no bit.
 fn addend(row: vec4<f32>, last_row: vec4<f32>) -> vec4<f32> {
     return select(vec4(0.0), row, last_row.z > 0.0);
 }
 
-// Adds up all of a splat's slots in their order, one after the other, whoever does it.
+// The total over a splat's slots, added in slot order.
 fn few(first: u32, number: u32) -> array<vec4<f32>, 4> {
     var total = array(vec4(0.0), vec4(0.0), vec4(0.0), vec4(0.0));
     for (var slot = first; slot < first + number; slot += 1u) {
@@ -42,7 +42,8 @@ fn few(first: u32, number: u32) -> array<vec4<f32>, 4> {
     return total;
 }
 
-// The same of one of the splats with many, for all threads to call: all fetch, four add.
+// The same, in the same order, by the whole workgroup: all threads load, four add. Call in uniform
+// control flow.
 fn many(first: u32, number: u32, thread: u32) -> array<vec4<f32>, 4> {
     let row = thread % 4u;
     var total = vec4(0.0);
@@ -71,7 +72,7 @@ fn many(first: u32, number: u32, thread: u32) -> array<vec4<f32>, 4> {
 @compute @workgroup_size(GROUP)
 fn project_vjp(@builtin(global_invocation_id) id: vec3<u32>, lane: Lane) {
     let index = id.x;
-    // Where a rendered value is out of range the gradients mean nothing, but what is seen does.
+    // If a rendered value is out of range the gradients are meaningless, but visibility is valid.
     let is_void = atomicLoad(&counts[OVERFLOWED]) != 0u;
     let is_splat = index < atomicLoad(&counts[VISIBLE]) && !is_void;
     var slots = vec2(0u);
@@ -90,7 +91,7 @@ fn project_vjp(@builtin(global_invocation_id) id: vec3<u32>, lane: Lane) {
     if !is_large {
         total = few(slots.x, slots.y);
     }
-    // A barrier on either side.
+    // Has a barrier before and after the load; they also cover `large`.
     let count = workgroupUniformLoad(&large_count);
     for (var i = 0u; i < count; i += 1u) {
         let of_large = workgroupUniformLoad(&large[i]);
@@ -122,7 +123,7 @@ fn to_world(v: vec3<f32>) -> vec3<f32> {
     return view.row_x * v.x + view.row_y * v.y + view.row_z * v.z;
 }
 
-// The four sums hold: colour, g; gp, gq, gpp, gpq; gqq, center, ht, htt; htt dx, htt dy.
+// The sums are: colour, g; gp, gq, gpp, gpq; gqq, center, ht, htt; htt dx, htt dy, taken.
 fn gradient_of(
     p: Projection,
     sums_0: vec4<f32>,
@@ -131,7 +132,7 @@ fn gradient_of(
     sums_3: vec4<f32>,
 ) -> Gradient {
     let z = p.center.z;
-    // Whitened first and second moments of g, freed of the blending's scale.
+    // First and second moments of g in whitened coordinates, without WHITEN_SCALE.
     let unscale = 1.0 / WHITEN_SCALE;
     let gp = sums_1.x * unscale;
     let gq = sums_1.y * unscale;
@@ -158,7 +159,7 @@ fn gradient_of(
     var d_row_x = j.x * d_unscaled_x;
     var d_row_y = j.y * d_unscaled_y;
     var d_row_z = -j.x * t.x * d_unscaled_x - j.y * t.y * d_unscaled_y;
-    // j falls with z.
+    // Through j = focal / z.
     var d_z = -(dot(d_half_x, p.half_x) + dot(d_half_y, p.half_y)) / z;
     let d_free = -j * vec2(dot(d_unscaled_x, p.row_z), dot(d_unscaled_y, p.row_z));
     let d_tangent = select(vec2(0.0), d_free, p.tangent == t) + view.focal * d_mean2d;
@@ -196,7 +197,8 @@ fn gradient_of(
     return gradient;
 }
 
-// By a stored quaternion wxyz of that norm, from the derivative by each axis of its rotation.
+// Derivative by the stored quaternion (wxyz, of that norm), from those by the columns of its
+// rotation matrix.
 fn quat_vjp(
     unit: vec4<f32>,
     norm: f32,

@@ -1,5 +1,4 @@
-// One gaussian from world axes to the screen; twin of `cpu/project.rs`, where each field is
-// explained.
+// Projects a gaussian to the screen; counterpart of `cpu/project.rs`, which explains the fields.
 
 @group(0) @binding(0) var<uniform> view: View;
 
@@ -11,25 +10,26 @@ struct Projection {
     quat_norm: f32,
     unit_quat: vec4<f32>,
     scales: vec3<f32>,
-    // Its rows are row_x, row_y and row_z of the camera times the gaussian's axes.
+    // Rows of the rotation camera_from_gaussian.
     row_x: vec3<f32>,
     row_y: vec3<f32>,
     row_z: vec3<f32>,
     half_x: vec3<f32>,
     half_y: vec3<f32>,
-    // xx, xy, yy.
+    // xx, xy, yy; px^2, low-pass included.
     cov2d: vec3<f32>,
     det: f32,
     opacity: f32,
     raw_color: vec3<f32>,
 }
 
+// A point of the world in camera axes, metres.
 fn camera_axes(point: vec3<f32>) -> vec3<f32> {
     let relative = point - view.position;
     return vec3(dot(view.row_x, relative), dot(view.row_y, relative), dot(view.row_z, relative));
 }
 
-// Compares bits: a shader may take it that there is no NaN.
+// Whether |x| <= MAX_MAGNITUDE. Compares bits: shader compilers may assume that there is no NaN.
 fn is_sane(x: f32) -> bool {
     return (bitcast<u32>(x) & 0x7fffffffu) <= bitcast<u32>(MAX_MAGNITUDE);
 }
@@ -38,7 +38,7 @@ fn are_sane(v: vec3<f32>) -> bool {
     return is_sane(v.x) && is_sane(v.y) && is_sane(v.z);
 }
 
-// Columns: the gaussian's axes in the world.
+// world_from_gaussian of a unit quaternion (wxyz).
 fn rotation_matrix(q: vec4<f32>) -> mat3x3<f32> {
     let w = q.x;
     let x = q.y;
@@ -84,13 +84,13 @@ fn projection(gaussian: Gaussian) -> Projection {
     return p;
 }
 
-// The Cholesky factor L^T of the inverse covariance: rows (x, y), (0, z).
+// L^T of the inverse covariance's Cholesky factorisation L L^T: rows (x, y) and (0, z).
 fn whitening(p: Projection) -> vec3<f32> {
     let xx = sqrt(p.cov2d.z / p.det);
     return vec3(xx, -xx * p.cov2d.y / p.cov2d.z, 1.0 / sqrt(p.cov2d.z));
 }
 
-// The normal in camera axes.
+// The disk's normal in camera axes: the gaussian's third axis.
 fn disk_normal(p: Projection) -> vec3<f32> {
     return vec3(p.row_x.z, p.row_y.z, p.row_z.z);
 }

@@ -1,14 +1,15 @@
-// Removes gaussians: the rest move together in their order, and with them all that belongs to them.
+// Pruning as a stable partition of the gaussians and all of their state: survivors first.
 
 @group(0) @binding(0) var<uniform> rule: Prune;
 @group(0) @binding(1) var<storage, read> gaussians: array<Gaussian>;
 @group(0) @binding(2) var<storage, read_write> block_sums: array<u32>;
 @group(0) @binding(3) var<storage, read_write> counts: array<u32>;
-// At first 1 for each gaussian that survives; then where it goes, NONE if it is removed.
+// 1 for survivors, else 0; after `move_survivors` the new index, NONE for removed gaussians.
 @group(0) @binding(4) var<storage, read_write> new_from_old: array<u32>;
 @group(0) @binding(5) var<storage, read_write> moved_gaussians: array<Gaussian>;
-// The names in the sparse map of those that are removed, in their order.
+// Sparse ids of the removed gaussians, in order; NONE for those without.
 @group(0) @binding(6) var<storage, read_write> removed_ids: array<u32>;
+// One of Adam's two moments, before and after.
 @group(0) @binding(7) var<storage, read> rows: array<array<vec4<f32>, 4>>;
 @group(0) @binding(8) var<storage, read_write> moved_rows: array<array<vec4<f32>, 4>>;
 @group(0) @binding(9) var<storage, read> visible_sets: array<u32>;
@@ -16,12 +17,12 @@
 @group(0) @binding(11) var<storage, read> anchors: array<u32>;
 @group(0) @binding(12) var<storage, read_write> moved_anchors: array<u32>;
 
-// Compares bits: a shader may take it that there is no NaN.
+// Compares bits: shader compilers may assume that there is no NaN.
 fn is_number(x: f32) -> bool {
     return (bitcast<u32>(x) & 0x7fffffffu) <= 0x7f800000u;
 }
 
-// Damaged gaussians do not survive.
+// A NaN among opacity and scales does not survive.
 fn survives(gaussian: Gaussian) -> bool {
     let logs = gaussian.log_scales;
     if !(is_number(gaussian.opacity_logit) && is_number(logs.x) && is_number(logs.y)
@@ -30,7 +31,6 @@ fn survives(gaussian: Gaussian) -> bool {
     }
     let opacity = 1.0 / (1.0 + exp(clamp(-gaussian.opacity_logit, -80.0, 80.0)));
     let longest = max(max(logs.x, logs.y), logs.z);
-    // The middle one by what is neither.
     let middle = max(min(logs.x, logs.y), min(max(logs.x, logs.y), logs.z));
     return opacity >= rule.min_opacity && longest <= rule.max_log_scale
         && longest - middle <= rule.max_log_aspect;
@@ -43,11 +43,11 @@ fn count_survivors(
     lane: Lane,
 ) {
     let index = id.x;
-    // After a step that is void nothing may change: the host will ask again.
+    // After a void step nothing may change: the host will resubmit the pruning.
     let is_void = counts[OVERFLOWED] != 0u || counts[OUT_OF_RANGE] != 0u;
     var kept = 0u;
     if index < rule.count {
-        // Without an anchor it was pruned before, which the host has not heard of.
+        // Without an anchor: removed by an earlier pruning that the host has not read back yet.
         kept = u32(is_void || (anchors[index] != NONE && survives(gaussians[index])));
         new_from_old[index] = kept;
     }
@@ -62,8 +62,8 @@ fn place_survivors(lane: Lane) {
     }
 }
 
-// Those that are removed stay behind the others, never drawn: the host counts on them until it hears
-// how many there are.
+// Removed gaussians go behind the survivors, too transparent to be drawn: the host includes them in
+// its count until it has read back how many survived.
 @compute @workgroup_size(GROUP)
 fn move_survivors(
     @builtin(global_invocation_id) id: vec3<u32>,
@@ -102,7 +102,7 @@ fn move_rows(@builtin(global_invocation_id) id: vec3<u32>) {
     }
 }
 
-// A thread for each word of each set; the moved sets were all zero.
+// One thread per word of each set; `moved_sets` starts out as zeros.
 @compute @workgroup_size(GROUP)
 fn move_sets(@builtin(global_invocation_id) id: vec3<u32>) {
     if id.x * 32u >= rule.count {

@@ -1,5 +1,5 @@
-// One pass of a stable radix sort by eight bits: counts each digit in each block of keys, places
-// the blocks' digits, and moves the keys. The number of keys lies on the device.
+// One pass of a stable radix sort over an eight-bit digit: a histogram of each block of keys, a scan
+// of the histograms, and a scatter. The number of keys is read from `counts`.
 
 @group(0) @binding(0) var<uniform> pass_: SortPass;
 @group(0) @binding(1) var<storage, read> counts: array<u32>;
@@ -7,9 +7,9 @@
 @group(0) @binding(3) var<storage, read> values_in: array<u32>;
 @group(0) @binding(4) var<storage, read_write> keys_out: array<u32>;
 @group(0) @binding(5) var<storage, read_write> values_out: array<u32>;
-// Digit-major: of each digit in each block, how many; then how many in the blocks before.
+// [digit][block]: the block's keys with that digit; after `place_digits`, those in earlier blocks.
 @group(0) @binding(6) var<storage, read_write> digit_counts: array<u32>;
-// Of each digit, how many in all.
+// Keys with each digit.
 @group(0) @binding(7) var<storage, read_write> digit_totals: array<u32>;
 
 const ROUNDS: u32 = SORT_BLOCK / GROUP;
@@ -43,7 +43,7 @@ fn count_digits(
     digit_counts[lane.thread * block_count() + block.x] = atomicLoad(&histogram[lane.thread]);
 }
 
-// A workgroup for each digit.
+// One workgroup per digit.
 @compute @workgroup_size(GROUP)
 fn place_digits(
     @builtin(workgroup_id) digit: vec3<u32>,
@@ -69,9 +69,9 @@ fn place_digits(
     }
 }
 
-// Where the block's next key of each digit goes.
+// Destination of the block's next key with each digit.
 var<workgroup> next: array<u32, GROUP>;
-// For each digit a bit for each thread that holds a key of it.
+// [word][digit]: a bit for each thread whose key has that digit.
 var<workgroup> holders: array<array<atomic<u32>, GROUP>, WORDS>;
 
 @compute @workgroup_size(GROUP)

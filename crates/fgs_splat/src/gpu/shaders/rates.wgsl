@@ -1,9 +1,9 @@
-// What the device can do at most: see `rates.rs`. The kernels do nothing else.
+// Kernels that measure a device's peak rates; see `rates.rs`.
 
 @group(0) @binding(0) var<storage, read> source: array<vec4<f32>>;
 @group(0) @binding(1) var<storage, read_write> copied: array<vec4<f32>>;
 
-// Four numbers of four a thread, so that enough of them are on their way.
+// Several rows per thread keep enough loads in flight.
 @compute @workgroup_size(GROUP)
 fn copy_rows(
     @builtin(workgroup_id) block: vec3<u32>,
@@ -15,10 +15,10 @@ fn copy_rows(
     }
 }
 
-// Eight chains of four multiply-adds each hide the latency of one.
+// Eight independent chains of four multiply-adds per round hide their latency.
 @compute @workgroup_size(GROUP)
 fn multiply_add(@builtin(global_invocation_id) id: vec3<u32>) {
-    // The source is zero, which the compiler cannot know.
+    // `source` holds zeros, unknown to the compiler.
     let factor = vec4(0.999) + source[0];
     let term = vec4(1e-3) + source[1];
     var a = vec4(f32(id.x));
@@ -42,7 +42,7 @@ fn multiply_add(@builtin(global_invocation_id) id: vec3<u32>) {
     copied[id.x] = (a + b + c + d) + (e + f + g + h);
 }
 
-// Next to nothing, but each dispatch has to wait for the one before.
+// Almost no work, but each dispatch depends on the previous one.
 @compute @workgroup_size(1)
 fn touch() {
     copied[0] += vec4(1.0);

@@ -1,14 +1,16 @@
-// One splat at one pixel: its alpha and its depth; twin of `cpu/sample.rs`. The forward and the
-// backward pass call the same function; its multiply-adds are spelt out, so that no compiler fuses
-// them in one pass and not in the other.
+// A splat's alpha and depth at a pixel; counterpart of `cpu/sample.rs`. Forward and backward pass
+// call the same function. Its multiply-adds are explicit, so that no compiler fuses them in one
+// pipeline and not in the other.
 
 struct Sample {
+    // The pixel's offset in whitened coordinates.
     p: f32,
     q: f32,
     // Not clamped.
     alpha: f32,
-    // normal . ray where `on_plane`, else some positive value.
+    // normal . ray where `on_plane`, elsewhere some positive value.
     n_ray: f32,
+    // Whether the depth is the plane's, plane_offset / n_ray, not the centre's.
     on_plane: bool,
 }
 
@@ -24,7 +26,7 @@ fn sample_of(splat: Splat, d: vec2<f32>, min_n_ray: f32) -> Sample {
     return sample;
 }
 
-// PLANE_MIN_COS times the length of the ray through a pixel.
+// PLANE_MIN_COS times the length of a pixel's ray (z = 1).
 fn min_n_ray_at(pixel: vec2<f32>) -> f32 {
     return PLANE_MIN_COS * length(vec3((pixel - view.center) / view.focal, 1.0));
 }

@@ -1,4 +1,4 @@
-// The pixels where the map's alpha is below a limit, a bit each. A thread for each word of 32 pixels.
+// Bit mask of the pixels where the accumulated alpha is below a limit. One thread per 32 pixels.
 
 @group(0) @binding(0) var<uniform> see_through_: SeeThrough;
 @group(0) @binding(1) var<storage, read> pixel_states: array<PixelState>;

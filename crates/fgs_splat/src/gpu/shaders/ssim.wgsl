@@ -1,5 +1,5 @@
-// SSIM and its derivatives by the windowed moments; twin of `losses/ssim.rs`, where the formula is.
-// With d = render - target and s = render + target; outside the image both are zero.
+// SSIM and its derivatives by the windowed moments; counterpart of `losses/ssim.rs`, which has the
+// formula. d = render - target, s = render + target; both are zero outside the image.
 
 var<workgroup> images: array<vec2<f32>, PADDED * PADDED>;
 // Blurred along the rows: d, s, d^2, s^2.
@@ -32,7 +32,7 @@ fn ssim(
         workgroupBarrier();
         var m = vec4(0.0);
         #each_tap m += {weight} * rows[thread + {tap} * SIDE];
-        // Rounding may take a variance below zero.
+        // Rounding may make a variance negative.
         let md = m.x;
         let ms = m.y;
         let var_d = max(m.z - md * md, 0.0);
@@ -67,9 +67,9 @@ fn with_squares(image: vec2<f32>) -> vec4<f32> {
     return vec4(image, image * image);
 }
 
-// d and s at a place that counts from RADIUS before the image's first pixel.
+// d and s at `place`, whose origin lies RADIUS pixels left of and above the first pixel.
 fn load(place: vec2<u32>, channel: u32) -> vec2<f32> {
-    // Wraps to large numbers on the other side.
+    // Left of and above the image this wraps to large numbers.
     let pixel = place - vec2(RADIUS);
     if pixel.x >= view.width || pixel.y >= view.height {
         return vec2(0.0);

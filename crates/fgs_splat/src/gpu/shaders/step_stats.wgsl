@@ -1,4 +1,4 @@
-// Adds up the loss of a step. A single workgroup, in a fixed order.
+// Adds up the loss of a step, in a single workgroup and a fixed order.
 
 @group(0) @binding(0) var<uniform> loss: Loss;
 @group(0) @binding(1) var<storage, read_write> counts: array<u32>;

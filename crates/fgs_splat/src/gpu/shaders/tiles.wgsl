@@ -1,8 +1,8 @@
-// Per-tile lists of splats in the order of blending; twin of `cpu/tiles.rs`.
+// Per-tile lists of splats in blending order; counterpart of `cpu/tiles.rs`.
 //
-// The splats are sorted by depth first, equally near ones by the order of the gaussians; their
-// touches, written in that order, are then sorted by tile alone, which keeps it. A touch's slot is
-// its place before that second sort: those of a splat follow each other.
+// Splats are sorted by depth, ties by gaussian index. Their touches, one per tile, are written in
+// that order and then sorted by tile alone; this sort is stable, so each list stays in depth order.
+// A touch's slot is its index before the second sort: a splat's slots are contiguous.
 
 @group(0) @binding(1) var<storage, read_write> counts: array<u32>;
 @group(0) @binding(2) var<storage, read> order: array<u32>;
@@ -13,7 +13,7 @@
 @group(0) @binding(7) var<storage, read_write> slots: array<u32>;
 @group(0) @binding(8) var<storage, read_write> slot_splats: array<u32>;
 @group(0) @binding(9) var<storage, read_write> dispatches: array<u32>;
-// Per tile, its first entry and the one after its last.
+// Per tile, the half-open range of its entries.
 @group(0) @binding(10) var<storage, read_write> ranges: array<vec2<u32>>;
 
 @compute @workgroup_size(GROUP)
@@ -31,8 +31,8 @@ fn count_touches(
 
 var<workgroup> visible: u32;
 
-// Where each block's touches go. Touches that do not fit void the step, and all after it until
-// there is more room.
+// Scans the block sums. If the touches exceed the buffers' capacity, the step is void, and so is
+// everything submitted after it until the host has grown the buffers and cleared the flag.
 @compute @workgroup_size(GROUP)
 fn place_touches(lane: Lane) {
     if lane.thread == 0u {
@@ -70,8 +70,8 @@ fn write_touches(
     if !is_splat || counts[ENTRIES] == 0u {
         return;
     }
-    // `project` counted with the same functions, but its compiler may have rounded them otherwise:
-    // nothing is written beyond what was counted, and what is left over lies in no tile.
+    // `project` counted with the same functions, but they may round differently in its pipeline:
+    // write no more touches than were counted, and give those missing a key beyond all tiles.
     let end = first + number;
     var slot = first;
     let splat = splats[index];
@@ -93,7 +93,7 @@ fn write_touches(
     }
 }
 
-// The first entry whose tile is not below.
+// The first entry whose tile is not less than `tile`.
 fn lower_bound(tile: u32) -> u32 {
     var low = 0u;
     var high = counts[ENTRIES];

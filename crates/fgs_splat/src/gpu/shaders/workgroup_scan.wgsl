@@ -1,13 +1,13 @@
 // Prefix sums over the GROUP threads of a workgroup, without subgroup operations.
 
-// A thread's place in its workgroup.
+// A thread's index in its workgroup.
 struct Lane {
     @builtin(local_invocation_index) thread: u32,
 }
 
 var<workgroup> scan_values: array<u32, GROUP>;
 
-// The sum of the values of the threads before this one, and of all. To be called by all threads.
+// The sum of the values of the threads before this one, and the total. Call in uniform control flow.
 fn workgroup_scan(value: u32, lane: Lane) -> vec2<u32> {
     let thread = lane.thread;
     scan_values[thread] = value;

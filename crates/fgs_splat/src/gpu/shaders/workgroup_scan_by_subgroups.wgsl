@@ -1,6 +1,7 @@
-// Prefix sums over the GROUP threads of a workgroup, which fill its subgroups in order.
+// Prefix sums over the GROUP threads of a workgroup with subgroup operations. Relies on threads
+// filling subgroups in order, which `scan_check.rs` verifies.
 
-// A thread's place in its workgroup, and how many threads a full subgroup has.
+// A thread's index in its workgroup, and the subgroup size.
 struct Lane {
     @builtin(local_invocation_index) thread: u32,
     @builtin(subgroup_size) subgroup_size: u32,
@@ -8,7 +9,7 @@ struct Lane {
 
 var<workgroup> subgroup_sums: array<u32, GROUP>;
 
-// The sum of the values of the threads before this one, and of all. To be called by all threads.
+// The sum of the values of the threads before this one, and the total. Call in uniform control flow.
 fn workgroup_scan(value: u32, lane: Lane) -> vec2<u32> {
     let thread = lane.thread;
     let inclusive = subgroupInclusiveAdd(value);
