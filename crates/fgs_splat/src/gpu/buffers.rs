@@ -1,8 +1,8 @@
-//! All device buffers of a model, looked up by their names in the shaders and grown in groups when
-//! they become too small.
+//! All device buffers of a model, by their names in the shaders, and the cached bind groups. Buffers
+//! of one capacity grow together.
 //!
 //! Invariant: per-gaussian state (parameters, anchors, moments, visibility sets) survives growing;
-//! everything else is rewritten by each pass before it is read.
+//! everything else is scratch, which each pass writes before it reads.
 
 use std::collections::BTreeMap;
 
@@ -33,7 +33,7 @@ const KEPT: Group = &[
     ("second_moments", 4 * VEC4),
     ("anchors", WORD),
 ];
-/// Per gaussian or splat, scratch of one pass.
+/// Per gaussian or splat, scratch.
 const PER_GAUSSIAN: Group = &[
     ("splats", size_of::<Splat>()),
     ("gradients", size_of::<Gradient>()),
@@ -45,9 +45,9 @@ const PER_GAUSSIAN: Group = &[
     ("order_sorted", WORD),
     ("touches", 2 * WORD),
 ];
-/// Per workgroup of a stage that runs over gaussians or splats.
+/// Per workgroup of the stages over gaussians or splats, scratch.
 const PER_GROUP: Group = &[("block_sums", WORD), ("regularizer_sums", WORD)];
-/// Per entry of the tile lists.
+/// Per entry of the tile lists, scratch.
 const PER_ENTRY: Group = &[
     ("tile_keys", WORD),
     ("tile_keys_sorted", WORD),
@@ -56,6 +56,7 @@ const PER_ENTRY: Group = &[
     ("slot_splats", WORD),
     ("sums", 4 * VEC4),
 ];
+/// Per pixel, scratch.
 const PER_PIXEL: Group = &[
     ("rendered", VEC4),
     ("pixel_states", size_of::<PixelState>()),
@@ -64,7 +65,7 @@ const PER_PIXEL: Group = &[
     ("moments", 9 * WORD),
 ];
 
-/// The shaders' name for the measured image of the current view.
+/// The shaders' name for the current view's measured image.
 const MEASURED: &str = "measured";
 
 /// The passes of the two radix sorts; each has its own uniform.
@@ -75,7 +76,7 @@ pub const TILE_PASSES: [&str; 4] = ["tile_0", "tile_1", "tile_2", "tile_3"];
 pub struct Buffers {
     device: GpuDevice,
     table: BTreeMap<&'static str, wgpu::Buffer>,
-    /// Measured images by their view's set; each is bound as `measured`.
+    /// Measured images by their view's visibility set; each is bound as `measured`.
     targets: BTreeMap<u32, wgpu::Buffer>,
     bound: BTreeMap<(&'static str, usize), wgpu::BindGroup>,
     gaussians: usize,
@@ -87,10 +88,10 @@ pub struct Buffers {
 }
 
 impl Buffers {
-    /// With capacity for that many entries of the tile lists.
+    /// Buffers of initial size; the tile lists have a capacity of `entries`.
     ///
     /// # Errors
-    /// If the device is out of memory.
+    /// If the device is out of memory or a buffer exceeds its limits.
     pub fn new(device: &GpuDevice, entries: usize) -> Result<Self, GpuError> {
         let mut buffers = Self {
             device: device.clone(),
@@ -153,12 +154,12 @@ impl Buffers {
         self.entries = self.entries.min(entries);
     }
 
-    /// Capacity, visibility sets.
+    /// Number of visibility sets there is room for.
     pub fn sets(&self) -> usize {
         self.sets
     }
 
-    /// Words of each set.
+    /// Words of each visibility set.
     pub fn set_words(&self) -> usize {
         self.gaussians / 32
     }
@@ -174,13 +175,13 @@ impl Buffers {
         self.targets.values().map(wgpu::Buffer::size).sum()
     }
 
-    /// Stores the measured image of the view with this set.
+    /// Stores the measured image of the view with this visibility set.
     pub fn set_target(&mut self, set: u32, buffer: wgpu::Buffer) {
         self.remove_target(set);
         self.targets.insert(set, buffer);
     }
 
-    /// Frees a measured image.
+    /// Frees a measured image and drops the bind groups that use it.
     pub fn remove_target(&mut self, set: u32) {
         self.targets.remove(&set);
         let device = &self.device;
@@ -196,20 +197,19 @@ impl Buffers {
         (targets, self.bound.values().cloned().collect())
     }
 
-    /// The buffer of that name.
+    /// The buffer of that name, or an error.
     pub fn get(&self, name: &str) -> Result<&wgpu::Buffer, GpuError> {
         let found = self.table.get(name);
         found.ok_or_else(|| GpuError::Other(format!("there is no buffer {name}")))
     }
 
-    /// Replaces a buffer.
+    /// Replaces a buffer and drops all bind groups.
     pub fn set(&mut self, name: &'static str, buffer: wgpu::Buffer) {
         self.table.insert(name, buffer);
         self.bound.clear();
     }
 
-    /// As [`Buffers::set`], for a buffer that is never bound under an alias: only the bind groups that
-    /// use it are dropped.
+    /// Replaces a buffer that is never bound through an alias; drops only the bind groups that use it.
     pub fn replace(&mut self, name: &'static str, buffer: wgpu::Buffer) {
         self.table.insert(name, buffer);
         let device = &self.device;
@@ -233,8 +233,11 @@ impl Buffers {
     }
 
     /// A stage's bind group, created once and cached. `aliases` maps names in the shader to names of
-    /// buffers; `variant` distinguishes the bind groups of a stage that is used with several sets of
-    /// aliases. For a stage that reads the measured image it is the set of the image's view.
+    /// buffers; `variant` tells apart the bind groups of a stage that is used with several lists of
+    /// aliases. For a stage that binds `measured` it is the visibility set of the image's view.
+    ///
+    /// # Errors
+    /// If a buffer is missing.
     pub fn bind(
         &mut self,
         stage: &'static str,
@@ -259,15 +262,15 @@ impl Buffers {
         Ok(&self.bound[&key])
     }
 
-    /// Makes room for that many gaussians; the first `used` are preserved.
+    /// Makes room for that many gaussians; the state of the first `used` is preserved.
     ///
     /// # Errors
-    /// If the device is out of memory; then nothing has changed.
+    /// If the device is out of memory or its limits are exceeded; then nothing has changed.
     pub fn make_room_for_gaussians(&mut self, count: usize, used: usize) -> Result<(), GpuError> {
         if count <= self.gaussians {
             return Ok(());
         }
-        // Whole words of sets, and whole workgroups.
+        // A multiple of GROUP: whole workgroups, and whole words of sets.
         let room = self.grown(size_of::<Gaussian>(), GROUP, count, self.gaussians)?;
         let mut fresh = self.make_all(KEPT.iter().chain(PER_GAUSSIAN), room)?;
         fresh.extend(self.make_all(PER_GROUP.iter(), room / GROUP as usize)?);
@@ -295,10 +298,10 @@ impl Buffers {
         Ok(())
     }
 
-    /// Makes room for that many entries of the tile lists.
+    /// Makes room for that many entries of the tile lists; their contents are lost.
     ///
     /// # Errors
-    /// If the device is out of memory; then nothing has changed.
+    /// If the device is out of memory or its limits are exceeded; then nothing has changed.
     pub fn make_room_for_entries(&mut self, count: usize) -> Result<(), GpuError> {
         if count <= self.entries {
             return Ok(());
@@ -312,10 +315,10 @@ impl Buffers {
         Ok(())
     }
 
-    /// Makes room for images of that size.
+    /// Makes room for images of that size, pixels.
     ///
     /// # Errors
-    /// If the device is out of memory.
+    /// If the device is out of memory or its limits are exceeded.
     pub fn make_room_for_image(&mut self, width: usize, height: usize) -> Result<(), GpuError> {
         let cells = |side: u32| width.div_ceil(side as usize) * height.div_ceil(side as usize);
         let (pixels, tiles, loss_groups) = (width * height, cells(TILE), cells(LOSS_SIDE));
@@ -338,15 +341,18 @@ impl Buffers {
         Ok(())
     }
 
-    /// Doubles the number of sets.
+    /// Doubles the number of visibility sets.
     ///
     /// # Errors
-    /// If the device is out of memory.
+    /// If the device is out of memory or its limits are exceeded.
     pub fn double_sets(&mut self) -> Result<(), GpuError> {
         self.make_sets(2 * self.sets, self.sets)
     }
 
-    /// Empty sets in the same layout as the present ones.
+    /// A buffer of empty visibility sets, laid out as the present ones.
+    ///
+    /// # Errors
+    /// If the device is out of memory.
     pub fn empty_sets(&self) -> Result<wgpu::Buffer, GpuError> {
         self.new_sets(self.sets, self.set_words())
     }
@@ -371,7 +377,7 @@ impl Buffers {
             .buffer("sets of visible gaussians", bytes, BufferUsages::STORAGE)
     }
 
-    /// Digit counts for sorting so many keys.
+    /// The radix sort's digit counts for that many keys.
     fn make_digit_counts(
         &self,
         keys: usize,
@@ -381,11 +387,11 @@ impl Buffers {
         self.make_all(per_block.iter(), blocks)
     }
 
-    /// The capacity to grow to: one and a half times the present one if the device can bind that
-    /// much, at least `needed`, and a whole number of workgroups of `group` items of `bytes` bytes.
+    /// The capacity to grow to, in items of `bytes` bytes: one and a half times `before` within the
+    /// device's limits, but at least `needed`, and a multiple of `group`.
     ///
     /// # Errors
-    /// If that takes more workgroups than the device can dispatch.
+    /// If `needed` takes more workgroups than the device can dispatch.
     fn grown(
         &self,
         bytes: usize,
@@ -397,7 +403,7 @@ impl Buffers {
         let (group, groups) = (group as usize, limits.max_compute_workgroups_per_dimension);
         let most = group.saturating_mul(groups as usize);
         if needed > most {
-            let message = format!("it works on no more than {most} items, and there are {needed}");
+            let message = format!("a dispatch covers at most {most} items, but there are {needed}");
             return Err(GpuError::Other(message));
         }
         let limit = self.device.binding_limit();

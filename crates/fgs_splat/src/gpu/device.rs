@@ -1,4 +1,4 @@
-//! A graphics device: selection, minimum requirements, buffers, and errors that it reports.
+//! A graphics device: selection, minimum requirements, buffers, and the errors that it reports.
 
 use std::path::Path;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -13,12 +13,12 @@ use crate::GpuError;
 
 /// The most storage buffers that a stage binds.
 pub(super) const STORAGE_BUFFERS: u32 = 8;
-/// The most workgroup memory that a stage uses, bytes.
+/// The most workgroup memory that a stage uses, bytes (WebGPU's guaranteed minimum).
 pub(super) const WORKGROUP_BYTES: u32 = 16 << 10;
 /// The largest workgroup, threads.
 pub(super) const WORKGROUP_THREADS: u32 = super::layout::GROUP;
-/// Minimum size of a storage binding, bytes: two million gaussians or entries of the tile lists, and
-/// what every WebGPU implementation guarantees.
+/// Required size of a storage buffer binding, bytes: WebGPU's guaranteed minimum, which holds two
+/// million gaussians or entries of the tile lists.
 const BINDING_BYTES: u64 = 128 << 20;
 
 /// A compute device with its compiled pipelines. Clones share it.
@@ -46,14 +46,15 @@ impl std::fmt::Debug for GpuDevice {
 }
 
 impl GpuDevice {
-    /// Opens the fastest kind of device present, through Vulkan, Metal or DirectX 12. A software
-    /// device, which is slower than [`crate::CpuModel`], is used only if `accept_software`.
+    /// Opens the first device that meets the requirements, through Vulkan, Metal or DirectX 12:
+    /// discrete GPUs come before integrated and virtual ones. A software device, which is slower than
+    /// [`crate::CpuModel`], comes last and only if `accept_software`.
     ///
     /// Compiled pipelines are cached in the folder `pipeline_cache`, if one is given and the driver
     /// supports it. The driver trusts the cached files, so only the user may have write access.
     ///
     /// # Errors
-    /// If there is none, or it does not meet the requirements.
+    /// If there is no device, or none meets the requirements.
     pub fn find(accept_software: bool, pipeline_cache: Option<&Path>) -> Result<Self, GpuError> {
         Self::open(accept_software, pipeline_cache, |features| StageOptions {
             by_subgroups: features.contains(wgpu::Features::SUBGROUP),
@@ -88,7 +89,7 @@ impl GpuDevice {
             wgpu::DeviceType::Other => 3,
             wgpu::DeviceType::Cpu => 4,
         });
-        let detail = if any { "only one in software" } else { "" };
+        let detail = if any { "only a software device" } else { "" };
         let mut refusal = GpuError::NoAdapter(detail.into());
         for (place, adapter) in adapters.iter().enumerate() {
             match Self::of_adapter(adapter, pipeline_cache, &options) {
@@ -171,7 +172,7 @@ impl GpuDevice {
         Ok(opened)
     }
 
-    /// Its name and API, such as "NVIDIA H200 (vulkan)".
+    /// The device's name and API, such as "NVIDIA H200 (vulkan)".
     pub fn name(&self) -> &str {
         &self.shared.name
     }
@@ -181,7 +182,7 @@ impl GpuDevice {
         self.shared.in_software
     }
 
-    /// Known causes of low speed that the user may be able to remove, as phrases to print.
+    /// Known causes of poor performance that the user may be able to fix, as phrases to print.
     pub fn caveats(&self) -> &[&'static str] {
         &self.shared.caveats
     }
@@ -204,18 +205,18 @@ impl GpuDevice {
         self.raw().create_command_encoder(&Default::default())
     }
 
-    /// The stage with that entry point.
+    /// The stage with that entry point, or an error.
     pub(super) fn stage(&self, name: &str) -> Result<&Stage, GpuError> {
         let found = self.shared.stages.iter().find(|stage| stage.name == name);
         found.ok_or_else(|| GpuError::Other(format!("there is no stage {name}")))
     }
 
-    /// The error that the device has reported, if any.
+    /// Fails if the device has reported an error.
     pub(super) fn check(&self) -> Result<(), GpuError> {
         let Some(error) = self.failure() else {
             return Ok(());
         };
-        // A lost device first reports errors of the calls made since, then the loss.
+        // If the device was lost, calls made since then fail first; polling reports the loss itself.
         let _ = self.raw().poll(wgpu::PollType::wait_indefinitely());
         Err(self.failure().unwrap_or(error))
     }
@@ -225,7 +226,10 @@ impl GpuDevice {
         failure.unwrap_or_else(PoisonError::into_inner).clone()
     }
 
-    /// A zero-initialised buffer. `what` describes its contents, in the plural.
+    /// A zero-initialised buffer. `what` names its contents in the plural, for messages.
+    ///
+    /// # Errors
+    /// If the device cannot bind that much or is out of memory.
     pub(super) fn buffer(
         &self,
         what: &'static str,
@@ -259,7 +263,7 @@ impl GpuDevice {
         }
     }
 
-    /// A storage buffer with the given contents.
+    /// A storage and uniform buffer with the given contents.
     pub(super) fn buffer_of<T: Pod>(&self, what: &'static str, entries: &[T]) -> wgpu::Buffer {
         self.raw()
             .create_buffer_init(&wgpu::util::BufferInitDescriptor {
@@ -270,8 +274,8 @@ impl GpuDevice {
     }
 }
 
-/// Keeps the first error, since later ones are mostly its consequences, except that the loss of the
-/// device explains all others.
+/// Keeps the first error, since later ones mostly follow from it; but device loss replaces any other,
+/// as their cause.
 fn note(kept: &Mutex<Option<GpuError>>, error: GpuError) {
     let mut kept = kept.lock().unwrap_or_else(PoisonError::into_inner);
     let explains = matches!(error, GpuError::Lost(_)) && !matches!(*kept, Some(GpuError::Lost(_)));
@@ -306,22 +310,22 @@ fn caveats(info: &wgpu::AdapterInfo, features: wgpu::Features) -> Vec<&'static s
 fn check_limits(name: &str, limits: &wgpu::Limits) -> Result<(), GpuError> {
     let needs = [
         (
-            "storage buffers of a stage",
+            "storage buffers per shader stage",
             u64::from(limits.max_storage_buffers_per_shader_stage),
             u64::from(STORAGE_BUFFERS),
         ),
         (
-            "bytes of a workgroup's memory",
+            "bytes of workgroup memory",
             limits.max_compute_workgroup_storage_size.into(),
             WORKGROUP_BYTES.into(),
         ),
         (
-            "threads of a workgroup",
+            "threads per workgroup",
             limits.max_compute_invocations_per_workgroup.into(),
             WORKGROUP_THREADS.into(),
         ),
         (
-            "bytes of a buffer",
+            "bytes per storage buffer binding",
             limits.max_storage_buffer_binding_size,
             BINDING_BYTES,
         ),
@@ -330,7 +334,7 @@ fn check_limits(name: &str, limits: &wgpu::Limits) -> Result<(), GpuError> {
         if has < needed {
             return Err(GpuError::Unfit {
                 device: name.into(),
-                what: format!("it has {has} {what}, and {needed} are needed"),
+                what: format!("it has {has} {what}, but {needed} are needed"),
             });
         }
     }
@@ -364,7 +368,7 @@ mod tests {
         let message = check_limits("Toy", &limits).unwrap_err().to_string();
         assert_eq!(
             message,
-            "Toy cannot be used: it has 8192 bytes of a workgroup's memory, and 16384 are needed"
+            "Toy cannot be used: it has 8192 bytes of workgroup memory, but 16384 are needed"
         );
     }
 }

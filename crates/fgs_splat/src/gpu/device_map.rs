@@ -1,8 +1,8 @@
-//! The map on the device: gaussians with their anchors and Adam's moments, and the operations on all of
-//! them: insertion, rigid motion and pruning. Steps are submitted by `work_queue`.
+//! The map on the device: gaussians with their anchors and Adam's moments, and the operations on
+//! them other than steps: insertion, rigid motion and pruning.
 //!
-//! Motions and prunings submitted behind a step that turns out void are void too, and the queue
-//! submits them again.
+//! Motions and prunings submitted after a step that turns out to be void are void too; `work_queue`
+//! resubmits them.
 
 use fgs_geom::KeyframeId;
 
@@ -26,16 +26,16 @@ pub struct DeviceMap {
     count: usize,
 }
 
-/// A submitted pruning.
+/// The readbacks of a submitted pruning.
 pub struct Pruning {
-    /// The counts, then the names of removed gaussians.
+    /// The counts, then the sparse ids of the removed gaussians.
     removed: Arrival,
-    /// The gaussians that stayed, then others.
+    /// The surviving gaussians, then the removed ones.
     gaussians: Arrival,
 }
 
 impl DeviceMap {
-    /// An empty map, with room for so many entries of the tile lists at first.
+    /// An empty map; the tile lists have an initial capacity of `entries`.
     ///
     /// # Errors
     /// If the device is out of memory.
@@ -68,12 +68,12 @@ impl DeviceMap {
         Ok(map)
     }
 
-    /// The device that it lies on.
+    /// The device that holds the map.
     pub fn device(&self) -> &GpuDevice {
         &self.device
     }
 
-    /// Number of gaussians, including those pruned by work still in flight.
+    /// Number of gaussians, including those that work in flight prunes.
     pub fn len(&self) -> usize {
         self.count
     }
@@ -93,7 +93,7 @@ impl DeviceMap {
         Recorder::new(&self.device, &mut self.buffers, timer)
     }
 
-    /// Adds gaussians whose arrays have one length. Nothing may be in flight.
+    /// Adds gaussians; the seeds' arrays must have equal lengths. Nothing may be in flight.
     ///
     /// # Errors
     /// If the device fails or is out of memory.
@@ -134,8 +134,8 @@ impl DeviceMap {
         Ok(())
     }
 
-    /// Submits a pruning. Survivors are compacted to the front; the others stay behind them, never
-    /// drawn, until [`DeviceMap::finish_pruning`] learns how many there are.
+    /// Submits a pruning. Survivors are compacted to the front; the removed gaussians stay behind
+    /// them, never drawn, until [`DeviceMap::finish_pruning`] learns how many survived.
     ///
     /// # Errors
     /// If the device fails or is out of memory.
@@ -172,8 +172,8 @@ impl DeviceMap {
         })
     }
 
-    /// Waits for a pruning that took effect and drops what it removed. Returns the names of removed
-    /// gaussians of the sparse map, and all remaining gaussians.
+    /// Waits for a pruning that took effect and drops the removed gaussians. Returns the ids of those
+    /// that belonged to the sparse map, and all survivors.
     ///
     /// # Errors
     /// If the device fails.
@@ -207,7 +207,7 @@ impl DeviceMap {
         Ok(())
     }
 
-    /// Stable compaction of the survivors and all of their state.
+    /// Records and submits the stable partition of the gaussians and all of their state.
     fn compact(&mut self) -> Result<(), GpuError> {
         const NEW_PLACES: (&str, &str) = ("new_from_old", "depth_keys");
         let by_gaussian = groups(self.count);
@@ -244,7 +244,7 @@ impl DeviceMap {
         Ok(())
     }
 
-    /// Waits for the device and copies all gaussians.
+    /// Waits for the device and reads back all gaussians.
     ///
     /// # Errors
     /// If the device fails.
@@ -254,15 +254,15 @@ impl DeviceMap {
         Ok(from_device(&rows))
     }
 
-    /// Clears the overflow and range flags, which make all later work void.
+    /// Zeroes the counts, and with them the overflow and out-of-range flags that void all later work.
     ///
     /// # Errors
-    /// If the device fails.
+    /// If there is no such buffer.
     pub fn clear_counts(&self) -> Result<(), GpuError> {
         self.write("counts", &[0; 4 * Count::ALL.len()])
     }
 
-    /// Makes room for that many entries of the tile lists, and a quarter more.
+    /// Grows the tile lists to that many entries and a quarter more.
     ///
     /// # Errors
     /// If the device is out of memory.

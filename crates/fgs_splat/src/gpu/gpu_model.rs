@@ -1,5 +1,5 @@
-//! The model on a graphics device: implements [`GaussianModel`] with the device's map, its views and the
-//! work queue.
+//! Implements [`GaussianModel`] on a graphics device, with the device's map, its views and the work
+//! queue.
 
 use fgs_geom::{Image, KeyframeId, Se3, View};
 
@@ -29,18 +29,18 @@ pub struct GpuModel {
     pub(super) work: WorkQueue,
 }
 
-/// A step's stages with their times, and the amount of work.
+/// The stages of a step with their times, and the amount of work.
 #[derive(Clone, Debug, PartialEq)]
 pub struct TimedStep {
-    /// In their order, each with the milliseconds that it took by the device's clock.
+    /// Names in dispatch order, each with its milliseconds by the device's timestamps.
     pub stages: Vec<(&'static str, f64)>,
     /// Gaussians in view.
     pub in_view: usize,
-    /// Entries of the tile lists: how many times a gaussian meets a tile of 8x8 pixels.
+    /// Entries of all tile lists, that is, pairs of a gaussian and a tile of 8x8 pixels it touches.
     pub entries: usize,
-    /// Entries of the longest list.
+    /// Entries of the longest tile list.
     pub longest_list: usize,
-    /// Tiles that the largest gaussian meets.
+    /// The most tiles that one gaussian touches.
     pub most_tiles: usize,
 }
 
@@ -56,8 +56,8 @@ impl GpuModel {
         Self::with_room(device, settings, target_bytes, FIRST_ENTRIES)
     }
 
-    /// As [`GpuModel::new`], with so many bytes of measured images on the device, and room for that
-    /// many entries of the tile lists at first.
+    /// As [`GpuModel::new`], with a budget of `target_bytes` for the measured images, and tile lists
+    /// with an initial capacity of `entries`.
     pub(super) fn with_room(
         device: GpuDevice,
         settings: &ModelSettings,
@@ -71,20 +71,21 @@ impl GpuModel {
         })
     }
 
-    /// How many steps overflowed the tile lists and were repeated.
+    /// How many steps were repeated because the tile lists overflowed.
     pub fn repeated_steps(&self) -> usize {
         self.work.repeated_steps()
     }
 
-    /// Waits for all steps, motions and prunings.
+    /// Waits for all submitted steps, motions and prunings.
     ///
     /// # Errors
-    /// If a step found damaged values, or the device fails.
+    /// If a step rendered a value out of range, or the device fails.
     pub fn finish_steps(&mut self) -> Result<(), ModelError> {
         self.work.finish()
     }
 
-    /// Takes a step on a registered view and times its stages. `None` if the device has no clock.
+    /// Takes a step on a registered view and times its stages. Without timestamp queries on the
+    /// device it takes no step and returns `None`.
     ///
     /// # Errors
     /// If there is no such view, a rendered value is out of range or the device fails.
@@ -99,14 +100,14 @@ impl GpuModel {
             self.work.push_timed(id, view, &mut timer)?;
             self.work.finish()?;
             let stages = timer.take(self.work.map.device())?;
-            // A step for which there was no room was repeated, untimed.
+            // If the tile lists overflowed, the step was repeated without the timer.
             if self.repeated_steps() == repeated {
                 return Ok(Some(self.timed(stages, &view)?));
             }
         }
     }
 
-    /// The last step's work, with its times.
+    /// The last step's times with its amount of work, read back from the device.
     fn timed(&self, stages: Vec<(&'static str, f64)>, view: &View) -> Result<TimedStep, GpuError> {
         let map = &self.work.map;
         let fetch = |name, len| read(map.device(), map.buffers.get(name)?, 0, len);
@@ -114,7 +115,7 @@ impl GpuModel {
         let in_view = counts[Count::VISIBLE as usize] as usize;
         let uniform = super::passes::view_uniform(view, 0, 0);
         let tiles = (uniform.tile_columns * uniform.tile_rows) as usize;
-        // Pairs of words: a gaussian's first place and its number, a list's start and end.
+        // Pairs of words: a splat's first slot and number of slots; a list's start and end.
         let touches = fetch("touches", 2 * in_view)?;
         let ranges = fetch("ranges", 2 * tiles)?;
         let pairs = |words: &[u32]| words.as_chunks::<2>().0.to_vec();
@@ -233,7 +234,7 @@ impl GaussianModel for GpuModel {
     }
 
     fn into_gaussians(mut self: Box<Self>) -> Gaussians {
-        // An error of one step is no reason to lose the rest.
+        // A failed step is no reason to lose the map.
         let _ = self.work.finish();
         match self.work.map.gaussians() {
             Ok(gaussians) => gaussians,

@@ -1,4 +1,4 @@
-//! Rendering for the host: whole images, or a bit a pixel.
+//! Rendering for the host: whole images, or one bit per pixel.
 
 use bytemuck::pod_collect_to_vec;
 use fgs_geom::{Image, View};
@@ -11,8 +11,8 @@ use super::recorder::Recorder;
 use crate::GpuError;
 use crate::Rendered;
 
-/// Renders a view, then runs what `after` records; repeats both if the tile lists overflow. Nothing may
-/// be in flight. Returns the counts of the pass and the leading bytes of the given buffers.
+/// Renders a view, then runs what `after` records; repeats both if the tile lists overflow. Nothing
+/// may be in flight. Returns the counts, and of each buffer in `parts` that many leading bytes.
 ///
 /// # Errors
 /// If the device fails or is out of memory.
@@ -77,7 +77,7 @@ pub fn render(map: &mut DeviceMap, view: &View) -> Result<Rendered, GpuError> {
     Ok(rendered)
 }
 
-/// The pixels of a view whose alpha is below a limit. Reads back one bit per pixel.
+/// Where a view's alpha is below a limit. Reads back one bit per pixel.
 ///
 /// # Errors
 /// If the device fails or is out of memory.

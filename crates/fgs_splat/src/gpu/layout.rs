@@ -1,6 +1,6 @@
 //! What Rust and the shaders must agree on: constants, struct layouts, and indices into small arrays.
-//! Each is defined once, here or in the CPU's code, and the shaders' preamble is generated from it; a
-//! test compares the offsets with those of the shader compiler.
+//! Each is defined once, here or in the CPU's code, and the shaders' preamble is generated from it. A
+//! test compares the structs' sizes and offsets with those of the shader compiler.
 
 use std::fmt::Write;
 
@@ -15,23 +15,23 @@ use crate::rendering::{
     PLANE_MIN_COS, TRANSMITTANCE_MIN,
 };
 
-/// Threads of a workgroup over gaussians, keys or pixels of the loss.
+/// Workgroup size of most stages, threads. The two that blend have one thread per pixel of a tile.
 pub const GROUP: u32 = 256;
-/// Keys that one workgroup sorts.
+/// Keys per workgroup of the radix sort.
 pub const SORT_BLOCK: u32 = 2048;
 /// Side of a tile, pixels. Small, since most gaussians are a few pixels wide and every pixel of a
 /// tile evaluates all of the tile's gaussians.
 pub const TILE: u32 = 8;
-/// Side of the loss's workgroups, pixels.
+/// Side of the block of pixels of a workgroup of the loss.
 pub const LOSS_SIDE: u32 = 16;
-/// Rows of 16 bytes that a thread copies when bandwidth is measured.
+/// Vectors of 16 bytes that a thread copies when bandwidth is measured.
 pub const COPIED_ROWS: u32 = 4;
 /// Rounds of 32 multiply-adds when arithmetic throughput is measured.
 pub const MULTIPLY_ADD_ROUNDS: u32 = 256;
-/// No gaussian, no set, no name.
+/// Stands for no gaussian, visibility set, anchor or sparse id.
 pub const NONE: u32 = u32::MAX;
 
-/// A type that struct fields may have.
+/// A type of struct fields, with its name in WGSL.
 trait DeviceType {
     const WGSL: &'static str;
 }
@@ -52,7 +52,7 @@ impl DeviceType for [f32; 4] {
     const WGSL: &'static str = "vec4<f32>";
 }
 
-/// A structure's name, size, and the names and offsets of its fields, as Rust lays it out.
+/// A struct's name and size, and the names and offsets of its fields, as Rust lays it out; bytes.
 #[cfg(test)]
 pub type Layout = (&'static str, usize, Vec<(&'static str, usize)>);
 
@@ -88,9 +88,9 @@ macro_rules! device_structs {
 }
 
 device_structs! {
-    /// A view and the sizes of what is rendered for it.
+    /// A camera, and the sizes of what it renders. Scalars fill the padding of the vectors.
     struct View {
-        /// Rows of the rotation `camera_from_world`, each padded by a scalar.
+        /// First row of the rotation `camera_from_world`.
         row_x: [f32; 3],
         /// Pixels.
         width: u32,
@@ -99,11 +99,11 @@ device_structs! {
         row_z: [f32; 3],
         /// Number of gaussians.
         count: u32,
-        /// The camera in the world, metres.
+        /// The camera's position in the world, metres.
         position: [f32; 3],
         /// Capacity of the tile lists, entries.
         capacity: u32,
-        /// Pixels.
+        /// Focal lengths and principal point, pixels.
         focal: [f32; 2],
         center: [f32; 2],
         /// See `ScreenCamera`.
@@ -115,13 +115,13 @@ device_structs! {
         frustum_reach: [f32; 2],
         tile_columns: u32,
         tile_rows: u32,
-        /// The word where the view's set of visible gaussians starts, or `NONE`.
+        /// First word of the view's set in `visible_sets`, or `NONE`.
         set_start: u32,
         padding_0: u32,
         padding_1: [f32; 2],
     }
 
-    /// A gaussian's stored parameters, its step count and its name in the sparse map.
+    /// A gaussian's stored parameters, step count and sparse id.
     struct Gaussian {
         mean: [f32; 3],
         opacity_logit: f32,
@@ -163,32 +163,32 @@ device_structs! {
 
     /// A pixel's state for the backward pass.
     struct PixelState {
-        /// Behind the last gaussian.
+        /// After the last gaussian.
         transmittance: f32,
-        /// How many entries of the tile's list there are up to and including the last that contributed.
+        /// Length of the tile's list up to the last entry that contributed.
         used: u32,
     }
 
     /// One pass of a radix sort.
     struct SortPass {
-        /// The digit's lowest bit.
+        /// Lowest bit of the digit.
         shift: u32,
-        /// Index of the number of keys in the counts.
+        /// Index into `counts` of the number of keys.
         count: u32,
     }
 
-    /// Weights of the loss terms, each divided by the number of values averaged.
+    /// Weights of the loss's terms, divided by the number of values that each averages.
     struct Loss {
         l1: f32,
         ssim: f32,
         depth: f32,
-        /// Not divided.
+        /// Not divided: the number of touched gaussians is known on the device only.
         scale: f32,
         /// 1 if colour is compared only where depth was measured.
         masked: u32,
         /// 1 if the rendered depth is divided by alpha.
         normalize_depth: u32,
-        /// Workgroups along each side of the image.
+        /// Columns and rows of workgroups.
         columns: u32,
         rows: u32,
     }
@@ -203,23 +203,24 @@ device_structs! {
         scale_weight: f32,
     }
 
-    /// The pruning rule; see `PruneRule`.
+    /// A pruning rule; see `PruneRule`.
     struct Prune {
         /// Number of gaussians.
         count: u32,
-        /// Words of each set of gaussians.
+        /// Words of each visibility set.
         set_words: u32,
         min_opacity: f32,
-        /// Logarithm of metres.
+        /// Of the longest axis; the scale is in metres.
         max_log_scale: f32,
-        /// Logarithm of the ratio of the two longer axes.
+        /// Logarithm of the largest ratio of the longest axis to the middle one.
         max_log_aspect: f32,
     }
 
     /// The rigid motion of the gaussians anchored to a keyframe.
     struct Motion {
-        /// Rows of the rotation.
+        /// First row of the rotation.
         row_x: [f32; 3],
+        /// Id of the keyframe.
         anchor: u32,
         row_y: [f32; 3],
         padding_0: u32,
@@ -232,19 +233,20 @@ device_structs! {
         quat: [f32; 4],
     }
 
-    /// The rule of `see_through`.
+    /// The parameters of `see_through`.
     struct SeeThrough {
-        /// Pixels with a lower alpha are seen through.
+        /// Pixels with a lower alpha are marked.
         min_alpha: f32,
         /// Number of pixels.
         pixels: u32,
     }
 
-    /// A view's set, to be compared with all others.
+    /// A view's visibility set, to be compared with all sets.
     struct Covisibility {
         own_set: u32,
-        /// Words of each set, and how many of them are in use.
+        /// Words of each set.
         set_words: u32,
+        /// Words of each set that belong to existing gaussians.
         used_words: u32,
     }
 }
@@ -257,14 +259,14 @@ macro_rules! places {
         pub enum $kind { $($name,)* }
 
         impl $kind {
-            /// All of them, in order.
+            /// All of them in order, with their names.
             pub const ALL: &[(Self, &'static str)] = &[$((Self::$name, stringify!($name))),*];
         }
     };
 }
 
 places! {
-    /// Indices into the counts of a step.
+    /// Indices into `counts`, a step's counts and flags.
     Count {
         VISIBLE,
         ENTRIES,
@@ -279,7 +281,7 @@ places! {
 }
 
 places! {
-    /// Indirect dispatches, three words each.
+    /// Indices into `dispatches`, the sizes of indirect dispatches.
     Dispatch {
         PER_VISIBLE,
         SORT_VISIBLE,
@@ -287,10 +289,10 @@ places! {
     }
 }
 
-/// Words of an indirect dispatch.
+/// Words of an indirect dispatch: workgroups along x, y and z.
 pub const DISPATCH_WORDS: u32 = 3;
 
-/// The preamble of every shader.
+/// The WGSL preamble of every shader: constants and structs.
 pub fn preamble() -> String {
     let mut source = String::new();
     for (name, value) in [

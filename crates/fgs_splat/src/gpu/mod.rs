@@ -1,14 +1,14 @@
-//! The model on a graphics device, through wgpu: Vulkan, Metal or DirectX 12, with nothing but the
-//! driver. The CPU is its reference, stage by stage.
+//! The model on a graphics device through wgpu: Vulkan, Metal or DirectX 12, with no dependency but
+//! the driver. The CPU rasteriser is its reference, stage by stage.
 //!
-//! `device` finds a device and compiles the `stage`s from `shaders/`, one file for each, named after
-//! its twin on the CPU; `layout` is what Rust and shaders share. `buffers` is the memory, and
-//! `recorder` and `passes` put the stages of a step in their order. Above them `device_map` holds
-//! the gaussians, `training_views` the views, `work_queue` what was asked of the device and not yet
-//! heard of, and `gpu_model` makes a [`GaussianModel`](crate::GaussianModel) of the three.
+//! `device` opens a device and compiles the `stage`s, the compute pipelines of `shaders/`, named
+//! after their CPU counterparts; `layout` defines what Rust and shaders share. `buffers` owns the
+//! device memory; `recorder` and `passes` record a step's dispatches. On top of these `device_map`
+//! holds the gaussians, `training_views` the views and `work_queue` the submissions in flight;
+//! `gpu_model` makes a [`GaussianModel`](crate::GaussianModel) of the three.
 //!
-//! Invariants: nothing is read back within a step; no sum has an order that depends on a race, so
-//! that results on one device are always the same bits.
+//! Invariants: nothing is read back within a step; no sum depends on the order of threads, so that
+//! results on one device are reproducible to the bit.
 
 mod buffers;
 mod device;

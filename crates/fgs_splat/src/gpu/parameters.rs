@@ -1,4 +1,4 @@
-//! Conversion between the host's structure of arrays and the device's array of structures.
+//! Conversions between the host's structure of arrays and the device's array of structures.
 
 use std::collections::BTreeMap;
 
@@ -24,7 +24,7 @@ pub fn to_device(seeds: &Seeds) -> Vec<Gaussian> {
     .collect()
 }
 
-/// The device's gaussians, in their order.
+/// The device's gaussians, in the same order.
 pub fn from_device(rows: &[Gaussian]) -> Gaussians {
     Gaussians {
         means: rows.iter().map(|row| row.mean).collect(),
@@ -35,7 +35,7 @@ pub fn from_device(rows: &[Gaussian]) -> Gaussians {
     }
 }
 
-/// The shader's motions, sorted by anchor.
+/// Motions for the device, sorted by anchor.
 pub fn motions_to_device(motions: &BTreeMap<KeyframeId, Se3>) -> Vec<Motion> {
     let motions = motions.iter();
     motions
@@ -52,7 +52,7 @@ pub fn motions_to_device(motions: &BTreeMap<KeyframeId, Se3>) -> Vec<Motion> {
                 row_y,
                 row_z,
                 translation: translation.map(|x| x as f32),
-                // The first column is the quaternion itself.
+                // The first column of `left` is the quaternion itself.
                 quat: left.map(|row| row[0] as f32),
                 ..Motion::default()
             }

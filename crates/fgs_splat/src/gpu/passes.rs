@@ -1,4 +1,5 @@
-//! The order of the stages: projection, tile lists and blending forward; loss and gradients backward.
+//! The stages of a step in dispatch order: projection, tile lists and blending; loss and gradients;
+//! Adam.
 
 use fgs_geom::View as CameraView;
 
@@ -9,17 +10,17 @@ use crate::GpuError;
 use crate::cpu::{Frustum, ScreenCamera};
 use crate::losses::{DEPTH_UNIT_M, LossSettings, Target};
 
-/// Workgroups for `count` items, one thread each.
+/// Number of workgroups for `count` items, one thread each.
 pub fn workgroups(count: usize) -> u32 {
     (count as u32).div_ceil(GROUP)
 }
 
-/// A dispatch over `count` items, one thread each.
+/// A dispatch of that many workgroups.
 pub fn groups(count: usize) -> Groups {
     Groups::Fixed(workgroups(count), 1)
 }
 
-/// The uniform of a view, without a visibility set.
+/// A view's uniform, for `count` gaussians and tile lists of that capacity; no visibility set.
 pub fn view_uniform(view: &CameraView, count: usize, capacity: usize) -> layout::View {
     let camera = ScreenCamera::<f32>::new(view);
     let frustum = Frustum::new(&camera);
@@ -49,7 +50,7 @@ pub fn view_uniform(view: &CameraView, count: usize, capacity: usize) -> layout:
     }
 }
 
-/// The uniform of the loss for a target; weights are zero where there is nothing to average.
+/// The loss's uniform for a target. Weights of means over no pixels are zero.
 pub fn loss_uniform(settings: &LossSettings, target: &Target) -> layout::Loss {
     let (width, height) = (target.color().width(), target.color().height());
     let colors = 3 * target.compared_colors(settings);
@@ -70,14 +71,14 @@ pub fn loss_uniform(settings: &LossSettings, target: &Target) -> layout::Loss {
 }
 
 impl Recorder<'_> {
-    /// Gaussians to splats, tile lists and images.
+    /// From gaussians to splats, tile lists and images.
     pub fn forward(&mut self, view: &layout::View) -> Result<(), GpuError> {
         self.project(view)?;
         self.make_lists(view)?;
         self.run("forward", Groups::Fixed(view.tile_columns, view.tile_rows))
     }
 
-    /// Images and the target of the view with this set to the gaussians' gradients.
+    /// From images and the target of the view with this visibility set to the gaussians' gradients.
     pub fn backward(
         &mut self,
         view: &layout::View,
@@ -92,7 +93,7 @@ impl Recorder<'_> {
         self.run("project_vjp", Groups::Counted(Dispatch::PER_VISIBLE))
     }
 
-    /// Gradients to an Adam step, and the sum of the loss.
+    /// An Adam step, and the sum of the loss.
     pub fn optimize(&mut self) -> Result<(), GpuError> {
         self.run("adam", Groups::Counted(Dispatch::PER_VISIBLE))?;
         self.run("step_stats", Groups::Fixed(1, 1))
@@ -115,15 +116,15 @@ impl Recorder<'_> {
         self.run("place_touches", Groups::Fixed(1, 1))?;
         self.run("write_touches", by_visible)?;
         let tiles = (view.tile_columns * view.tile_rows) as usize;
-        // Keys are below the number of tiles. The number of passes is even, so that the result ends up
-        // in the input's buffers.
+        // Keys go up to the number of tiles, one digit is 8 bits. The number of passes is even, so
+        // that the result ends up in the input's buffers.
         let passes = if tiles < 1 << 16 { 2 } else { 4 };
         let tile_passes = &TILE_PASSES[..passes];
         self.sort(tile_passes, Dispatch::SORT_ENTRIES, ["tile_keys", "slots"])?;
         self.run("find_ranges", groups(tiles))
     }
 
-    /// Radix sort of keys and values, lowest digit first.
+    /// Radix sort of keys and values in place, least significant digit first.
     fn sort(
         &mut self,
         passes: &[&'static str],

@@ -1,17 +1,17 @@
-//! Caches compiled pipelines between runs, in a folder chosen by the caller.
-//! What cannot be read or written is left out: then the driver compiles anew.
+//! Caches compiled pipelines between runs, in a folder chosen by the caller. If the cache cannot be
+//! read or written, the driver simply compiles again.
 
 use std::fs;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
-/// The file for one kind of device.
+/// The cache file for a device model.
 pub struct PipelineCacheFile {
     path: PathBuf,
 }
 
 impl PipelineCacheFile {
-    /// `None` if the device has no name for its kind.
+    /// `None` if the backend has no pipeline cache.
     pub fn of(info: &wgpu::AdapterInfo, folder: &Path) -> Option<Self> {
         let name = wgpu::util::pipeline_cache_key(info)?;
         Some(Self {
@@ -19,7 +19,7 @@ impl PipelineCacheFile {
         })
     }
 
-    /// What was saved, or an empty cache.
+    /// The saved cache, or an empty one.
     pub fn load(&self, device: &wgpu::Device) -> wgpu::PipelineCache {
         let data = fs::read(&self.path).ok();
         let descriptor = wgpu::PipelineCacheDescriptor {
@@ -27,12 +27,13 @@ impl PipelineCacheFile {
             data: data.as_deref(),
             fallback: true,
         };
-        // SAFETY: the data is what `save` wrote for this kind of device, in a folder that the caller
-        // vouches for (see `GpuDevice::find`); wgpu checks its header and falls back.
+        // SAFETY: the data is what `save` wrote for this device model, in a folder that the caller
+        // vouches for (see `GpuDevice::find`); wgpu validates the header and falls back to an empty
+        // cache.
         unsafe { device.create_pipeline_cache(&descriptor) }
     }
 
-    /// Replaces the file, at once or not at all, if there is anything new.
+    /// Replaces the file atomically if the cache has changed.
     pub fn save(&self, pipelines: &wgpu::PipelineCache) {
         let Some(data) = pipelines.get_data() else {
             return;
@@ -45,7 +46,7 @@ impl PipelineCacheFile {
             fs::create_dir_all(folder).ok()?;
             fgs_files::write_file(&self.path, |file| file.write_all(&data)).ok()
         };
-        // A cache that cannot be kept costs time alone.
+        // Without the file the next run only takes longer to start.
         let _ = write();
     }
 }

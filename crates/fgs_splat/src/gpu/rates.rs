@@ -1,8 +1,8 @@
-//! Measures a device's memory bandwidth, arithmetic throughput and dispatch overhead, from which lower
-//! bounds for the stages follow.
+//! Measures a device's memory bandwidth, arithmetic throughput and dispatch overhead: lower bounds
+//! for the stages' times follow from them.
 //!
-//! By the wall clock, since not every device has timestamps: each kernel is repeated within one
-//! submission until that takes long enough for its overhead not to matter.
+//! Uses the wall clock, since not every device has timestamp queries. Each kernel is repeated within
+//! one submission until the submission's own overhead is negligible.
 
 use std::time::Instant;
 
@@ -12,25 +12,25 @@ use crate::GpuError;
 
 /// Bytes that a workgroup copies.
 const COPIED_BYTES: u64 = 16 * (COPIED_ROWS * GROUP) as u64;
-/// Bytes copied at a time, if the device can bind that much; far more than any cache.
+/// Bytes per copy, if the device can bind that much; far more than any cache holds.
 const COPY_BYTES: u64 = 512 << 20;
-/// Workgroups of multiply-adds; what they write fits the smallest buffer that a device must bind.
+/// Workgroups of multiply-adds. Their output fits the smallest buffer that a device must bind.
 const MULTIPLY_ADD_GROUPS: u32 = 1 << 13;
-/// Dispatches per pass when one is timed.
+/// Dispatches per pass when their overhead is measured.
 const DISPATCHES: u32 = 1000;
-/// Long enough for a submission.
+/// A submission that takes this long is timed accurately.
 const LONG_SECS: f64 = 0.25;
 
-/// Peak rates of a device, as measured.
+/// Measured peak rates of a device.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Rates {
     /// Bytes read plus bytes written.
     pub bytes_per_sec: f64,
-    /// Of `f32`; a multiply-add counts as two.
+    /// `f32` operations; a multiply-add counts as two.
     pub flops_per_sec: f64,
 }
 
-/// The overhead of a stage that depends on the one before: an empty dispatch and the barrier.
+/// The overhead of a stage that depends on the previous one: an empty dispatch and a barrier.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct DispatchCosts {
     /// Direct dispatch, seconds.
@@ -43,7 +43,7 @@ impl GpuDevice {
     /// Measures the overhead of a stage.
     ///
     /// # Errors
-    /// If the device fails.
+    /// If the device fails or is out of memory.
     pub fn measure_dispatch_costs(&self) -> Result<DispatchCosts, GpuError> {
         let storage = wgpu::BufferUsages::STORAGE;
         let touched = self.buffer("what dispatches touch", 16, storage)?;
@@ -71,7 +71,7 @@ impl GpuDevice {
         })
     }
 
-    /// Measures the device's rates, which takes a second or two and up to a gigabyte of its memory.
+    /// Measures the device's peak rates. Takes a second or two and up to 1 GiB of its memory.
     ///
     /// # Errors
     /// If the device fails or is out of memory.
@@ -94,7 +94,7 @@ impl GpuDevice {
                 pass.dispatch_workgroups(groups, 1, 1);
             })
         };
-        // Which of the two is faster depends on the driver.
+        // Kernel or copy command: which is faster depends on the driver.
         let copy_secs = by_stage("copy_rows", groups as u32)?.min(self.best_secs(|encoder| {
             encoder.copy_buffer_to_buffer(&source, 0, &copied, 0, bytes);
         })?);
@@ -107,7 +107,7 @@ impl GpuDevice {
         })
     }
 
-    /// Best time per repetition, seconds.
+    /// Best time of what `record` records, seconds.
     fn best_secs(&self, record: impl Fn(&mut wgpu::CommandEncoder)) -> Result<f64, GpuError> {
         let mut best = f64::INFINITY;
         let mut repetitions = 1_u32;

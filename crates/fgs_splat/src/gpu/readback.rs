@@ -1,4 +1,4 @@
-//! Copying buffers from the device to the host.
+//! Readback: copies of device buffers, through mappable staging buffers.
 
 use std::sync::mpsc;
 
@@ -13,7 +13,7 @@ thread_local! {
     pub static WAITS: std::cell::Cell<usize> = const { std::cell::Cell::new(0) };
 }
 
-/// Copies `len` entries starting at entry `first`. Waits for everything submitted so far.
+/// Reads `len` entries of a buffer from entry `first` on. Waits for everything submitted so far.
 ///
 /// # Errors
 /// If the device fails.
@@ -28,7 +28,7 @@ pub fn read<T: Pod>(
     Ok(bytemuck::pod_collect_to_vec(&parts.concat()))
 }
 
-/// As [`read`], for parts of several buffers, each given by its first byte and length in bytes.
+/// As [`read`], for parts of several buffers, each given by its offset and length in bytes.
 ///
 /// # Errors
 /// If the device fails.
@@ -63,13 +63,13 @@ pub fn read_parts(
     Ok(copies)
 }
 
-/// A mappable buffer that the device copies into.
+/// A mappable staging buffer.
 pub struct Landing {
     buffer: wgpu::Buffer,
     bytes: u64,
 }
 
-/// A pending copy.
+/// A pending readback.
 pub struct Arrival {
     landing: Landing,
     submission: wgpu::SubmissionIndex,
@@ -77,6 +77,8 @@ pub struct Arrival {
 }
 
 impl Landing {
+    /// A staging buffer of that size.
+    ///
     /// # Errors
     /// If the device is out of memory.
     pub fn new(device: &GpuDevice, bytes: u64) -> Result<Self, GpuError> {
@@ -84,12 +86,12 @@ impl Landing {
         Ok(Self { buffer, bytes })
     }
 
-    /// The copy's destination.
+    /// The destination of copies.
     pub fn buffer(&self) -> &wgpu::Buffer {
         &self.buffer
     }
 
-    /// Requests the contents as of this submission.
+    /// Requests the mapping once this submission, which copies into the buffer, has completed.
     pub fn expect(self, submission: wgpu::SubmissionIndex) -> Arrival {
         let (sender, done) = mpsc::channel();
         let bytes = self.bytes;
@@ -107,7 +109,7 @@ impl Landing {
 }
 
 impl Arrival {
-    /// Waits for the copy and passes its bytes to `use_bytes`. Returns the buffer for reuse.
+    /// Waits for the submission and passes the bytes to `use_bytes`. Returns the buffer for reuse.
     ///
     /// # Errors
     /// If the device fails.

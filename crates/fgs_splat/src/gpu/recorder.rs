@@ -1,4 +1,4 @@
-//! Records dispatches, in a single compute pass or, if they are timed, each in its own.
+//! Records dispatches: all in one compute pass or, if they are timed, one pass for each.
 
 use super::buffers::Buffers;
 use super::device::GpuDevice;
@@ -11,7 +11,7 @@ use crate::GpuError;
 pub enum Groups {
     /// Along x and y.
     Fixed(u32, u32),
-    /// Read from the device by an indirect dispatch.
+    /// By an indirect dispatch, from this entry of the buffer `dispatches`.
     Counted(Dispatch),
 }
 
@@ -40,7 +40,7 @@ impl<'a> Recorder<'a> {
         }
     }
 
-    /// Dispatches a stage, each binding resolved by its name.
+    /// Dispatches a stage, with its bindings resolved by name.
     pub fn run(&mut self, stage: &'static str, groups: Groups) -> Result<(), GpuError> {
         self.run_as(stage, 0, &[], groups)
     }
@@ -73,7 +73,7 @@ impl<'a> Recorder<'a> {
         Ok(())
     }
 
-    /// For commands other than dispatches.
+    /// The encoder, for other commands than dispatches. Ends the compute pass.
     pub fn encoder(&mut self) -> &mut wgpu::CommandEncoder {
         self.pass = None;
         &mut self.encoder

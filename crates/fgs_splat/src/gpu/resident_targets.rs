@@ -1,5 +1,5 @@
-//! Keeps the measured images of the most recently used views on the device, within a budget. The others
-//! stay in host memory and are uploaded when they are needed.
+//! Keeps the measured images of the most recently used views on the device, within a budget. All are
+//! in host memory too and are uploaded when they are needed.
 
 use std::collections::BTreeMap;
 
@@ -13,22 +13,22 @@ use crate::Target;
 /// The largest budget, bytes: 200 keyframes of 1200x680 take 1.3 GB.
 const MOST_BYTES: u64 = 3 << 29;
 
-/// The budget on a device, bytes. wgpu cannot query free memory; the largest buffer that the device
-/// allows is the one limit that grows with its memory.
+/// The budget on a device, bytes. wgpu cannot query free memory; the largest allowed buffer is the
+/// only limit that grows with a device's memory.
 pub fn budget(device: &GpuDevice) -> u64 {
     device.raw().limits().max_buffer_size.min(MOST_BYTES)
 }
 
-/// Least-recently-used bookkeeping by the view's set.
+/// Least-recently-used bookkeeping, by the view's visibility set.
 pub struct ResidentTargets {
     budget: u64,
-    /// The time of their last use.
+    /// The value of `uses` at each target's last use.
     last_uses: BTreeMap<u32, u64>,
     uses: u64,
 }
 
 impl ResidentTargets {
-    /// Keeps up to so many bytes of targets, but at least one target.
+    /// Keeps up to `budget` bytes of targets, but at least one target.
     pub fn new(budget: u64) -> Self {
         Self {
             budget,
@@ -37,8 +37,9 @@ impl ResidentTargets {
         }
     }
 
-    /// Uploads a view's target unless it is resident: two words a pixel, RGB with 8 bits each and in
-    /// the fourth byte 1 or 0, whether the camera saw them; and the bits of the depth in metres.
+    /// Uploads a view's target unless it is resident, as two words per pixel: RGB with 8 bits each
+    /// and, in the fourth byte, 1 if the camera saw the colour, else 0; then the bits of the depth in
+    /// metres.
     ///
     /// # Errors
     /// If the device is out of memory.
@@ -82,13 +83,13 @@ impl ResidentTargets {
         Ok(())
     }
 
-    /// Evicts a view's target.
+    /// Evicts a view's target, if it is resident.
     pub fn remove(&mut self, buffers: &mut Buffers, set: u32) {
         self.last_uses.remove(&set);
         buffers.remove_target(set);
     }
 
-    /// Returns whether there was one to evict.
+    /// Evicts the least recently used target. Returns whether there was one.
     fn evict_oldest(&mut self, buffers: &mut Buffers) -> bool {
         let oldest = self.last_uses.iter().min_by_key(|(_, last_use)| **last_use);
         let Some(oldest) = oldest.map(|(set, _)| *set) else {

@@ -1,12 +1,12 @@
-//! Checks the prefix sums by subgroup operations on a device. They rely on threads filling subgroups in
-//! order and on reconvergence after divergent control flow; neither is guaranteed by WGSL, and
-//! drivers have got the latter wrong.
+//! Checks a device's prefix sums by subgroup operations. They rely on threads filling subgroups in
+//! order and on reconvergence after divergent control flow. WGSL guarantees neither, and drivers have
+//! got the latter wrong.
 
 use super::layout::GROUP;
 use super::stage::Stage;
 use crate::GpuError;
 
-/// Scans known values and compares.
+/// Whether scans of known values on the device come out right.
 ///
 /// # Errors
 /// If the device fails.
@@ -63,7 +63,7 @@ pub fn scans_in_order(
     Ok(are_prefix_sums(&sums[..group], value) && are_prefix_sums(&sums[group..], third))
 }
 
-/// Whether these are, thread by thread, the sum of the values before its own, and of all.
+/// Whether each thread has the sum of the values of the threads before it, and the total.
 fn are_prefix_sums(scanned: &[[u32; 2]], value: impl Fn(u32) -> u32) -> bool {
     let all: u32 = (0..scanned.len() as u32).map(&value).sum();
     let mut before = 0;

@@ -1,8 +1,7 @@
 //! Stages: the compute pipelines and the buffers that each binds.
 //!
-//! A shader is concatenated from the generated preamble, files of shared functions and the stage's own
-//! file. The bindings of an entry point are reflected from the shader, so that no list of them has to
-//! be kept in Rust.
+//! A shader's source is the generated preamble, files of shared functions and the shader's own file,
+//! concatenated. An entry point's bindings are found by reflection, so Rust need not list them.
 
 use wgpu::naga;
 
@@ -10,7 +9,7 @@ use super::layout::preamble;
 use super::taps::unroll_taps;
 use crate::GpuError;
 
-/// A file of entry points and the files of shared functions that it needs, in order of definition.
+/// A shader: a file of entry points, preceded by the files of shared functions that it needs.
 pub struct ShaderFile {
     pub name: &'static str,
     parts: &'static [&'static str],
@@ -198,10 +197,10 @@ impl ShaderFile {
     }
 }
 
-/// How pipelines are compiled.
+/// How shaders are compiled.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct StageOptions {
-    /// Use subgroup operations.
+    /// Use subgroup operations for prefix sums.
     pub by_subgroups: bool,
     /// Bounds-check every buffer access.
     pub checked: bool,
@@ -213,15 +212,15 @@ pub struct Stage {
     pub name: &'static str,
     pub pipeline: wgpu::ComputePipeline,
     layout: wgpu::BindGroupLayout,
-    /// Number and name of each buffer.
+    /// Binding number and name of each buffer.
     bindings: Vec<(u32, String)>,
 }
 
 impl Stage {
-    /// All stages of all shaders.
+    /// Compiles all stages of all shaders.
     ///
     /// # Errors
-    /// If a shader is not valid.
+    /// If a shader is not valid WGSL; the message shows where.
     pub fn make_all(
         device: &wgpu::Device,
         options: StageOptions,
@@ -245,8 +244,8 @@ impl Stage {
                 source: wgpu::ShaderSource::Naga(std::borrow::Cow::Owned(module)),
             };
             // SAFETY: the shaders are this crate's own. Their loops end, and every index is below
-            // a length that the host allocated: the tests run them with checks and without and
-            // compare the results bit by bit.
+            // a length that the host allocated: the tests run them with checks and without, and
+            // compare the results.
             let shader = unsafe { device.create_shader_module_trusted(descriptor, checks) };
             for (name, bindings) in file.entry_points.iter().zip(used) {
                 let pipeline = device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
@@ -273,10 +272,10 @@ impl Stage {
         self.bindings.iter().any(|(_, name)| name == buffer)
     }
 
-    /// A bind group, its buffers resolved by name.
+    /// A bind group whose buffers are looked up by name.
     ///
     /// # Errors
-    /// If one is not found.
+    /// If the lookup of one fails.
     pub fn bind<'a>(
         &self,
         device: &wgpu::Device,
@@ -299,7 +298,7 @@ impl Stage {
     }
 }
 
-/// The bindings that an entry point uses.
+/// Binding number and name of each buffer that an entry point uses.
 fn used_bindings(
     module: &naga::Module,
     info: &naga::valid::ModuleInfo,

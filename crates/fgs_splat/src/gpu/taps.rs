@@ -1,15 +1,15 @@
-//! The loop over the taps of SSIM's window, unrolled in the shaders' text.
+//! Unrolls the loop over the taps of SSIM's window in the shaders' source.
 //!
-//! Drivers that do not unroll a loop put a constant array indexed by its counter into thread-local
-//! memory and read it from there on every access. So a shader writes the loop as one marked line,
-//! which is repeated for each tap with the weight as a literal:
+//! A driver that does not unroll the loop itself spills a constant array of weights to thread-local
+//! memory. So a shader writes the loop as one marked line, which is repeated for each tap with the
+//! weight as a literal:
 //! `#each_tap sum += {weight} * rows[first + {tap}];`
 
 use crate::losses::{TAPS, window};
 
 const MARK: &str = "#each_tap ";
 
-/// The text of a shader with every marked line repeated for each tap.
+/// A shader's source with every marked line repeated for each tap.
 pub fn unroll_taps(source: &str) -> String {
     let half = window();
     let mut unrolled = String::with_capacity(source.len());

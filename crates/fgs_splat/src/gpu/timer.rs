@@ -4,7 +4,7 @@ use super::device::GpuDevice;
 use super::readback;
 use crate::GpuError;
 
-/// More than the stages of a step.
+/// More than a step has.
 const MAX_STAGES: u32 = 64;
 
 /// Times the stages of one submission.
@@ -43,7 +43,7 @@ impl StageTimer {
         }))
     }
 
-    /// The queries for the next stage's start and end.
+    /// The queries for the next stage's start and end. `None`, and the stage untimed, if all are used.
     pub(super) fn next(
         &mut self,
         stage: &'static str,
@@ -60,12 +60,14 @@ impl StageTimer {
         })
     }
 
+    /// Records the resolving of the queries.
     pub(super) fn resolve(&self, encoder: &mut wgpu::CommandEncoder) {
         let count = 2 * self.stages.len() as u32;
         encoder.resolve_query_set(&self.queries, 0..count, &self.ticks, 0);
     }
 
-    /// The stages of the last submission in order, with their milliseconds. Resets the timer.
+    /// Waits for the submission and returns its stages in order, with their milliseconds. Resets the
+    /// timer.
     ///
     /// # Errors
     /// If the device fails.

@@ -1,5 +1,6 @@
-//! The keyframes' training views: pose, target, and the number of a visibility set (a bit per gaussian,
-//! stored on the device).
+//! The keyframes' training views: camera, target, and the index of a visibility set. The sets are on
+//! the device: one bit per gaussian, set if it contributed to a pixel when the view was last
+//! rendered.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -29,7 +30,7 @@ pub struct TrainingViews {
 }
 
 impl TrainingViews {
-    /// No views; up to so many bytes of targets are kept on the device.
+    /// No views. Up to `target_bytes` of targets are kept on the device.
     pub fn new(buffers: &Buffers, target_bytes: u64) -> Self {
         Self {
             views: BTreeMap::new(),
@@ -38,7 +39,7 @@ impl TrainingViews {
         }
     }
 
-    /// Adds a view, of a keyframe that has none.
+    /// Adds a view of a keyframe that has none.
     ///
     /// # Errors
     /// If the device is out of memory.
@@ -86,7 +87,7 @@ impl TrainingViews {
         self.views.get(&id).ok_or(ModelError::NoSuchView(id))
     }
 
-    /// All of them, by ascending id.
+    /// All views by ascending id.
     pub fn iter(&self) -> impl Iterator<Item = (KeyframeId, &TrainingView)> {
         self.views.iter().map(|(id, view)| (*id, view))
     }
@@ -100,7 +101,7 @@ impl TrainingViews {
         }
     }
 
-    /// A keyframe's view, after making its target resident.
+    /// A keyframe's view, whose target is uploaded if it is not on the device.
     ///
     /// # Errors
     /// If there is none, or the device is out of memory.

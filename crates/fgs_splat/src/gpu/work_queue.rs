@@ -1,8 +1,9 @@
-//! Steps, motions and prunings that were submitted to the device and have not reported back.
+//! The queue of steps, motions and prunings in flight: submitted to the device, but not yet known to
+//! have taken effect.
 //!
-//! A step whose tile lists overflow changes nothing, and neither does anything submitted after it, until
-//! the host learns of it, grows the buffers and resubmits everything in order. So results depend only
-//! on the calls and the device, never on buffer capacities or timing.
+//! A step whose tile lists overflow is void: it changes nothing, and neither does anything submitted
+//! after it, until the host reads the overflow flag, grows the buffers and resubmits all of it in
+//! order. So results depend only on the calls and the device, never on buffer capacities or timing.
 
 use std::collections::VecDeque;
 
@@ -19,23 +20,23 @@ use crate::GpuError;
 use crate::model::{ModelError, PruneRule, SparseId, StepStats};
 use crate::{Cotangents, Gaussians, LossSettings, photometric_loss};
 
-/// Work that may be in flight: enough that the device never runs dry.
+/// Maximum number of submissions in flight: enough to keep the device busy.
 const MAX_IN_FLIGHT: usize = 4;
 
 /// Work that is submitted without waiting for the device.
 pub enum Work {
-    /// A step on a keyframe's view, with the camera's pose at the time of the call.
+    /// A step on a keyframe's view, as posed at the time of the call.
     Step(KeyframeId, View),
     /// Sorted by anchor.
     Move(Vec<layout::Motion>),
     Prune(PruneRule),
 }
 
-/// How the device reports completion.
+/// The pending readback of a submission.
 enum Report {
-    /// The counts.
+    /// The step's counts.
     Step(Arrival),
-    /// Not at all: it took effect if everything before it did.
+    /// None: a motion takes effect if everything before it did.
     Move,
     Prune(Pruning),
 }
@@ -50,14 +51,14 @@ pub struct WorkQueue {
     repeated_steps: usize,
     /// Statistics of finished steps.
     pub stats: Vec<StepStats>,
-    /// Pruned gaussians of the sparse map that have not been reported.
+    /// Pruned gaussians of the sparse map, not yet reported to the caller.
     pub removed: Vec<SparseId>,
-    /// The map as the host last knew it, for when the device is lost.
+    /// The host's last copy of the map, in case the device is lost.
     pub last_known: Gaussians,
 }
 
 impl WorkQueue {
-    /// With nothing in flight.
+    /// A queue with nothing in flight.
     pub fn new(map: DeviceMap, views: TrainingViews, loss: LossSettings) -> Self {
         Self {
             map,
@@ -72,21 +73,22 @@ impl WorkQueue {
         }
     }
 
-    /// How many steps overflowed the tile lists and were repeated.
+    /// How many steps were repeated because the tile lists overflowed.
     pub fn repeated_steps(&self) -> usize {
         self.repeated_steps
     }
 
-    /// Number of submissions that have not reported back.
+    /// Number of submissions in flight.
     #[cfg(test)]
     pub fn in_flight(&self) -> usize {
         self.in_flight.len()
     }
 
-    /// Submits work, after waiting for the oldest if too much is in flight.
+    /// Submits work. If the queue is full, waits for the oldest submission first.
     ///
     /// # Errors
-    /// If a step's view does not exist, an earlier step found damaged values, or the device fails.
+    /// If a step's view does not exist, an earlier step rendered a value out of range, or the device
+    /// fails.
     pub fn push(&mut self, work: Work) -> Result<(), ModelError> {
         if self.in_flight.len() >= MAX_IN_FLIGHT {
             self.retire()?;
@@ -94,10 +96,10 @@ impl WorkQueue {
         self.submit(work, None)
     }
 
-    /// Submits a step and times its stages.
+    /// Submits a step whose stages are timed. Nothing may be in flight.
     ///
     /// # Errors
-    /// As of [`WorkQueue::push`].
+    /// If the view does not exist, or the device fails.
     pub fn push_timed(
         &mut self,
         id: KeyframeId,
@@ -107,10 +109,10 @@ impl WorkQueue {
         self.submit(Work::Step(id, view), Some(timer))
     }
 
-    /// Waits for everything.
+    /// Waits for everything in flight.
     ///
     /// # Errors
-    /// If a step found damaged values, or the device fails.
+    /// If a step rendered a value out of range, or the device fails.
     pub fn finish(&mut self) -> Result<(), ModelError> {
         while !self.in_flight.is_empty() {
             self.retire()?;
@@ -118,8 +120,8 @@ impl WorkQueue {
         Ok(())
     }
 
-    /// Finds which gaussians a view shows: the backward pass tells which ones a pixel took. Nothing
-    /// may be in flight. Returns the counts.
+    /// Fills a view's visibility set: the backward pass records the gaussians that contribute to a
+    /// pixel. Nothing may be in flight. Returns the counts of the pass.
     ///
     /// # Errors
     /// If there is no such view, or the device fails.
@@ -135,7 +137,8 @@ impl WorkQueue {
         Ok(counts)
     }
 
-    /// Writes the uniforms of a keyframe's view and makes its target resident. Also returns its set.
+    /// Makes room for a view's images, uploads its target if necessary and writes the loss's uniform.
+    /// Returns the uniforms of view and loss, and the index of the visibility set.
     fn look_at(
         &mut self,
         id: KeyframeId,
@@ -193,7 +196,7 @@ impl WorkQueue {
         Ok(landing.expect(recorder.submit()))
     }
 
-    /// Waits for the oldest work in flight.
+    /// Waits for the oldest submission and takes in what it reads back.
     fn retire(&mut self) -> Result<(), ModelError> {
         match self.in_flight.pop_front() {
             Some((Work::Step(id, view), Report::Step(counts))) => {
@@ -221,7 +224,8 @@ impl WorkQueue {
         let count = |place: Count| counts[place as usize];
         if count(Count::OUT_OF_RANGE) != 0 {
             for work in self.forget_what_is_in_flight()? {
-                // The cameras have already moved. Steps and prunings are dropped: this error ends the run.
+                // The views have moved already, so the gaussians must follow. Steps and prunings are
+                // dropped: this error ends the run.
                 if let Work::Move(_) = work {
                     self.submit(work, None)?;
                 }
@@ -247,7 +251,8 @@ impl WorkQueue {
         Ok(())
     }
 
-    /// Waits for everything in flight, all of it void, and clears the flags that made it so.
+    /// Empties the queue after a void step: waits for the submissions, which are void too, clears the
+    /// flags and returns the work in order.
     fn forget_what_is_in_flight(&mut self) -> Result<Vec<Work>, GpuError> {
         let mut void = Vec::new();
         for (work, report) in std::mem::take(&mut self.in_flight) {
@@ -265,7 +270,7 @@ impl WorkQueue {
         Ok(void)
     }
 
-    /// Why the render of a view cannot be compared with its target.
+    /// The error of a rendered value out of range: renders the view again to find the pixel.
     fn what_is_out_of_range(
         &mut self,
         id: KeyframeId,
