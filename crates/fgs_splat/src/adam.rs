@@ -1,15 +1,12 @@
-//! Adam (Kingma and Ba 2015) on the gaussians that a step touches.
+//! Sparse Adam (Kingma and Ba 2015): updates only the gaussians that a step touches.
 //!
-//! Input: gaussians, their gradients, and the indices of those that the step saw. Output: the
-//! gaussians moved. State grows and shrinks with the map, entry i belonging to gaussian i.
+//! Entry i of the state belongs to gaussian i. Textbook Adam moves every parameter at every step, by
+//! momentum alone where the gradient is zero. Here a gaussian that is not touched keeps its
+//! parameters and moments: otherwise gaussians out of view would drift, and a step's cost would grow
+//! with the map.
 //!
-//! Each gaussian counts its own steps, so that a new one has its own bias correction. Textbook
-//! Adam moves every parameter at every step, by momentum alone where the gradient is zero; here
-//! a gaussian that is not touched rests, moments included. A gaussian out of view would otherwise
-//! drift after the last view that saw it, and a step would cost the size of the map.
-//!
-//! A gaussian's learning rates fall with its own steps, so that a map that keeps growing settles
-//! where it is old while it is quick to fit where it is new.
+//! Each gaussian counts its own steps. Its bias correction and its learning rates depend on that
+//! count, so that the old parts of a growing map settle while the new ones still fit quickly.
 
 use crate::gaussians::retain;
 use crate::kernel::{Kernel, dispatch};
@@ -24,40 +21,40 @@ use thiserror::Error;
 pub(crate) const BETA_1: f64 = 0.9;
 /// Decay of the second moment (Kingma and Ba 2015).
 pub(crate) const BETA_2: f64 = 0.999;
-/// Learning rates fall as `1 / sqrt(1 + t / DECAY_STEPS)`, slowly enough for Adam to arrive
-/// anywhere (Kingma and Ba 2015, Theorem 4.1), those of the centres as the square of that: a centre
-/// that keeps moving undoes what the other parameters have learnt. A gaussian is fitted after a few
-/// dozen steps; what moves it from then on is mostly the difference between views.
+/// Learning rates decay as `1 / sqrt(1 + t / DECAY_STEPS)` with a gaussian's step count `t`, slowly
+/// enough for Adam to converge (Kingma and Ba 2015, Theorem 4.1); those of the centres as the square
+/// of that, since a centre that keeps moving undoes what the other parameters have learnt. A gaussian
+/// is fitted after a few dozen steps; later gradients mostly reflect differences between views.
 pub(crate) const DECAY_STEPS: f64 = 50.0;
-/// Far below any gradient: the loss is a mean over a million values, so that gradients near the
-/// customary 1e-8 are common and would be damped by it.
+/// Far below any gradient. The loss is a mean over a million values, so gradients around the
+/// customary 1e-8 are common, and it would damp them.
 pub(crate) const EPSILON: f32 = 1e-15;
-/// Steps whose corrections are worked out once: more than most gaussians ever make.
+/// Steps whose corrections are tabulated: more than most gaussians ever take.
 const TABLED_STEPS: u32 = 1 << 14;
-/// Gaussians that one task moves, whatever the number of threads.
+/// Gaussians per task, for any number of threads.
 const CHUNK: usize = 4096;
 
-/// Step sizes: how far a parameter of a new gaussian moves in a step with a steady gradient.
+/// Learning rates: how far a parameter of a new gaussian moves per step under a constant gradient.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct LearningRates {
     /// Of the centres, metres.
     pub means: f32,
-    /// Of the quaternions' entries.
+    /// Of the components of the quaternions.
     pub quats: f32,
     /// Of the logarithms of the scales.
     pub log_scales: f32,
     /// Of the opacity logits.
     pub opacity_logits: f32,
-    /// Of the spherical harmonics of degree 0.
+    /// Of the colours, as spherical harmonics of degree 0.
     pub sh: f32,
 }
 
 impl Default for LearningRates {
     /// Differs from the paper, whose code has 2.5e-6 for the means, 5e-3 for the log-scales, 0.05
-    /// for the opacities, 1e-2 for the quaternions and 3.5e-3 for the colours, all constant: at a
-    /// few steps per frame its centres stay where noise put them and its colours do not arrive, and
-    /// at many its map does not settle.
+    /// for the opacities, 1e-2 for the quaternions and 3.5e-3 for the colours, all constant: at few
+    /// steps per frame, centres stay where noise put them and colours do not converge; at many, the
+    /// map does not settle.
     fn default() -> Self {
         Self {
             means: 4e-4,
@@ -70,8 +67,10 @@ impl Default for LearningRates {
 }
 
 impl LearningRates {
+    /// Checks the limits.
+    ///
     /// # Errors
-    /// A rate outside 0..=1.
+    /// If a rate is outside 0..=1.
     pub fn validate(&self) -> Result<(), SettingError> {
         SettingError::unless_share("means", self.means.into())?;
         SettingError::unless_share("quats", self.quats.into())?;
@@ -81,38 +80,38 @@ impl LearningRates {
     }
 }
 
-/// Why no step was made.
+/// Why no step was taken.
 #[derive(Debug, Error, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum AdamError {
-    /// The state is for another number of gaussians, or gradients are missing.
+    /// The state is for another number of gaussians, or gradients are missing or superfluous.
     #[error(
-        "Adam holds {adam} gaussians, but there are {gaussians}, and {gradients} gradients of \
-         {touched} touched ones"
+        "Adam's inputs disagree: state of {adam} gaussians, {gaussians} gaussians, {touched} touched \
+         ones, {gradients} gradients"
     )]
     Length {
         /// Entries of the state.
         adam: usize,
-        /// Gaussians to be moved.
+        /// Number of gaussians.
         gaussians: usize,
-        /// Touched gaussians.
+        /// Number of touched gaussians.
         touched: usize,
-        /// Gradients.
+        /// Number of gradients.
         gradients: usize,
     },
     /// Touched indices are not strictly ascending, or not below the number of gaussians.
-    #[error("touched indices must ascend without repetition and be below {gaussians}")]
+    #[error("touched indices must be strictly ascending and below {gaussians}")]
     Touched {
         /// Number of gaussians.
         gaussians: usize,
     },
 }
 
-/// Places of a gaussian's derivatives or moments; its parameters have 14.
+/// A gaussian's 14 parameters, padded to a cache line of `f32`.
 const PLACES: usize = 16;
 
-/// A number for each parameter of a gaussian: centre, quaternion, log-scales, opacity logit and
-/// colour, then zeros up to a cache line.
+/// A value for each parameter of a gaussian: centre, quaternion, log-scales, opacity logit and
+/// colour, then zeros.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 #[repr(align(64))]
 struct ByParameter([f32; PLACES]);
@@ -131,7 +130,7 @@ impl ByParameter {
     }
 }
 
-/// First and second moments of every parameter, and each gaussian's number of steps.
+/// Adam's state: first and second moments of every parameter, and each gaussian's step count.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Adam {
     first: Vec<ByParameter>,
@@ -140,7 +139,7 @@ pub struct Adam {
 }
 
 impl Adam {
-    /// Gaussians that there is state for.
+    /// Number of gaussians.
     pub fn len(&self) -> usize {
         self.steps.len()
     }
@@ -150,7 +149,7 @@ impl Adam {
         self.steps.is_empty()
     }
 
-    /// Adds fresh state for `count` new gaussians at the end.
+    /// Appends the state of `count` new gaussians.
     pub fn extend(&mut self, count: usize) {
         let len = self.len() + count;
         self.first.resize(len, ByParameter::default());
@@ -158,7 +157,7 @@ impl Adam {
         self.steps.resize(len, 0);
     }
 
-    /// Keeps the state of gaussian i where `keep[i]`, in order.
+    /// Keeps the state of the gaussians i with `keep[i]`, in order.
     ///
     /// # Panics
     /// Unless there is one flag for each gaussian.
@@ -168,7 +167,7 @@ impl Adam {
         retain(&mut self.steps, keep);
     }
 
-    /// Turns the moments of gaussian i with it: see [`crate::rigid_motion`].
+    /// Rotates the moments of gaussian i along with it; see [`crate::rigid_motion`].
     pub(crate) fn turn(&mut self, i: usize, motion: &RigidMotion) {
         let RigidMotion { rotation, left, .. } = motion;
         for (moments, rotation, left) in [
@@ -182,13 +181,13 @@ impl Adam {
         }
     }
 
-    /// Moves the gaussians that the gradients touch against them.
+    /// Updates the touched gaussians.
     ///
-    /// A gaussian with a gradient entry that is not finite, or whose square overflows, rests with
-    /// its state. Returns how many did.
+    /// Those whose gradient has an entry that is not finite, or whose square overflows, are skipped,
+    /// their state too. Returns their number.
     ///
     /// # Errors
-    /// If lengths differ, or `touched` does not ascend or reaches beyond the gaussians.
+    /// If lengths differ, or `touched` is not strictly ascending or has an index out of range.
     pub fn step(
         &mut self,
         gaussians: &mut Gaussians,
@@ -250,7 +249,7 @@ impl Adam {
     }
 }
 
-/// Moves the touched gaussians among consecutive ones. Run it through [`dispatch`].
+/// Updates the touched ones of consecutive gaussians. Run it through [`dispatch`].
 struct MoveChunk<'a> {
     /// Index of the first gaussian.
     start: usize,
@@ -269,7 +268,7 @@ struct MoveChunk<'a> {
 }
 
 impl Kernel for MoveChunk<'_> {
-    /// How many gaussians rest, for a gradient that is not usable.
+    /// How many gaussians are skipped because their gradient is not usable.
     type Output = usize;
 
     #[inline(always)]
@@ -315,7 +314,7 @@ impl Kernel for MoveChunk<'_> {
     }
 }
 
-/// Takes a gradient into a gaussian's moments. What is to be subtracted from its parameters.
+/// Updates a gaussian's moments. Returns what to subtract from its parameters.
 #[inline(always)]
 fn step(
     corrections: &Corrections,
@@ -350,19 +349,19 @@ fn subtract<const K: usize>(params: &mut [f32; K], step: [f32; K]) {
     }
 }
 
-/// What a gaussian's number of steps makes of its moments and learning rates.
+/// Bias corrections and decay of the learning rates at a gaussian's step t, from 1.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Corrections {
-    /// What is left of the learning rates (of the centres' its square).
+    /// Factor of the learning rates; of the centres' rate its square.
     decay: f32,
     /// `1 / (1 - beta_1^t)`, the bias correction of the first moment.
     pub(crate) first: f32,
-    /// `1 / sqrt(1 - beta_2^t)`, which the second moment's root is multiplied by.
+    /// `1 / sqrt(1 - beta_2^t)`, the bias correction of the second moment's root.
     pub(crate) second_root: f32,
 }
 
 impl Corrections {
-    /// Those of the first steps.
+    /// The corrections of the first `TABLED_STEPS` steps.
     pub(crate) fn table() -> &'static [Self] {
         static TABLE: LazyLock<Vec<Corrections>> =
             LazyLock::new(|| (0..TABLED_STEPS).map(Corrections::new).collect());

@@ -1,6 +1,6 @@
-//! The model on the CPU: always works and is the reference for every other backend.
+//! The model on the CPU: runs everywhere and is the reference for every other backend.
 //!
-//! Invariant: results are the same bits for any number of threads.
+//! Invariant: results are bit-identical for any number of threads.
 
 use std::collections::BTreeMap;
 
@@ -24,7 +24,7 @@ pub struct CpuModel {
     gaussians: Gaussians,
     sparse_ids: Vec<Option<SparseId>>,
     anchors: Vec<KeyframeId>,
-    /// Pruned gaussians of the sparse map that have not been reported.
+    /// Pruned gaussians of the sparse map, not yet reported to the caller.
     removed: Vec<SparseId>,
     adam: Adam,
     rasterizer: Rasterizer,
@@ -210,7 +210,7 @@ impl GaussianModel for CpuModel {
 }
 
 impl CpuModel {
-    /// Adds the regulariser's gradient for the touched gaussians; returns its share of the loss.
+    /// Adds the scale regulariser's gradient of the touched gaussians; returns its weighted value.
     fn add_regularizer(&mut self) -> f64 {
         let weight = self.settings.loss.scale_weight;
         let GaussianGradients { touched, gradients } = &mut self.gradients;
@@ -224,7 +224,7 @@ impl CpuModel {
     }
 }
 
-/// Damaged gaussians do not survive.
+/// Comparisons with NaN are false: such a gaussian does not survive.
 fn survives(gaussians: &Gaussians, i: usize, rule: &PruneRule) -> bool {
     let mut scales = gaussians.scales(i);
     scales.sort_by(f32::total_cmp);

@@ -1,29 +1,29 @@
-//! The gaussians' stored parameters, as structure of arrays, and their activations.
+//! The gaussians' stored parameters, as a structure of arrays, and their activations.
 //!
-//! Input: gaussians in plain quantities (metres, opacity, rgb). Output: the same as the
-//! unconstrained parameters that are optimised, and back. All arrays always have one length.
+//! Converts between plain quantities (metres, opacity, RGB) and the unconstrained parameters that
+//! are optimised. All arrays have the same length.
 
 use nalgebra::RealField;
 
 /// Spherical-harmonics basis of degree 0: `rgb = 0.5 + SH0_FACTOR * sh`, = 1 / (2 sqrt(pi)).
 pub const SH0_FACTOR: f64 = 0.282_094_791_773_878_14;
 
-/// Opacities are stored as if they kept this distance from 0 and 1, where the logit is infinite:
-/// far below the 1/255 that can be seen.
+/// Opacities are clamped to this distance from 0 and 1, where the logit is infinite: far below the
+/// visible 1/255.
 const MIN_OPACITY: f64 = 1e-6;
-/// Scales are stored as if they were at least this many metres: zero has no logarithm.
+/// Scales are clamped to at least this many metres: zero has no logarithm.
 const MIN_SCALE_M: f64 = 1e-12;
 
-/// N gaussians. Every array has N entries; they are the quantities that are optimised.
-/// World axes, metres. `T` is `f32`, or `f64` in tests.
+/// N gaussians in world axes, as the parameters that are optimised. Every array has N entries. `T`
+/// is `f32`, or `f64` in tests.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Gaussians<T = f32> {
-    /// Centres, [N, 3].
+    /// Centres, metres, [N, 3].
     pub means: Vec<[T; 3]>,
-    /// Rotations `world_from_gaussian`, wxyz, normalised when used, [N, 4].
+    /// Rotations `world_from_gaussian`, wxyz, normalised on use, [N, 4].
     pub quats: Vec<[T; 4]>,
-    /// Logarithms of the standard deviations along the gaussian's axes, [N, 3]. Seeds are disks
-    /// whose third axis is the flat one.
+    /// Logarithms of the standard deviations (metres) along the gaussian's axes, [N, 3]. Seeds are
+    /// disks whose third axis is the flat one.
     pub log_scales: Vec<[T; 3]>,
     /// `opacity = 1 / (1 + exp(-logit))`, `[N]`.
     pub opacity_logits: Vec<T>,
@@ -47,7 +47,7 @@ pub struct Gaussian<T = f32> {
 }
 
 impl<T> Gaussians<T> {
-    /// N.
+    /// Number of gaussians.
     pub fn len(&self) -> usize {
         self.means.len()
     }
@@ -68,7 +68,7 @@ impl<T> Gaussians<T> {
         ] == [len; 5]
     }
 
-    /// Keeps gaussian i where `keep[i]`, in order.
+    /// Keeps the gaussians i with `keep[i]`, in order.
     ///
     /// # Panics
     /// Unless `keep` has N entries.
@@ -81,7 +81,7 @@ impl<T> Gaussians<T> {
     }
 }
 
-/// Keeps entry i where `keep[i]`, in order. Panics unless both have one length.
+/// Keeps the entries i with `keep[i]`, in order. Panics unless the lengths are equal.
 pub(crate) fn retain<T>(entries: &mut Vec<T>, keep: &[bool]) {
     assert_eq!(entries.len(), keep.len(), "one flag for each entry");
     let mut keep = keep.iter();
@@ -112,14 +112,14 @@ impl<T: Copy> Gaussians<T> {
 }
 
 impl<T: Clone + Default> Gaussians<T> {
-    /// `len` entries of zeros, as gradients and moments start with.
+    /// `len` entries with all parameters zero.
     pub fn zeros(len: usize) -> Self {
         let mut zeros = Self::default();
         zeros.resize(len);
         zeros
     }
 
-    /// Cuts to, or fills up with zeros to, `len` entries.
+    /// Truncates to `len` entries, or pads with zeros.
     pub fn resize(&mut self, len: usize) {
         self.means.resize(len, Default::default());
         self.quats.resize(len, Default::default());
@@ -130,7 +130,8 @@ impl<T: Clone + Default> Gaussians<T> {
 }
 
 impl<T: RealField + Copy> Gaussians<T> {
-    /// Appends one gaussian. Its opacity is kept 1e-6 from 0 and 1, its scales at least 1e-12 m.
+    /// Appends a gaussian. Its opacity is clamped to 1e-6 from 0 and 1, its scales to at least
+    /// 1e-12 m.
     pub fn push(&mut self, gaussian: &Gaussian<T>) {
         let [min_opacity, min_scale, factor] =
             [MIN_OPACITY, MIN_SCALE_M, SH0_FACTOR].map(nalgebra::convert::<f64, T>);
@@ -155,7 +156,7 @@ impl<T: RealField + Copy> Gaussians<T> {
         self.log_scales[i].map(T::exp)
     }
 
-    /// Colour of gaussian i, about 0..1 but not clamped to it.
+    /// RGB of gaussian i, about 0..1 but not clamped.
     pub fn rgb(&self, i: usize) -> [T; 3] {
         let [half, factor] = [0.5, SH0_FACTOR].map(nalgebra::convert::<f64, T>);
         self.sh[i].map(|sh| half + factor * sh)

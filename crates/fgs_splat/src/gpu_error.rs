@@ -1,15 +1,15 @@
-//! Errors of a graphics device: there is none, it does not meet the requirements, or it fails. Also
-//! there in builds without a GPU backend, so that [`ModelError`](crate::ModelError) is always the same.
+//! Errors of a graphics device: there is none, it does not meet the requirements, or it fails. Builds
+//! without the GPU backend have them too, so that [`ModelError`](crate::ModelError) is always the same.
 //!
-//! Messages are meant for the user; the driver's own words come last.
+//! Messages are written for the user; the driver's own message comes last.
 
 use thiserror::Error;
 
-/// Why a graphics device cannot compute.
+/// Why a graphics device cannot be used.
 #[derive(Clone, Debug, Error, PartialEq)]
 #[non_exhaustive]
 pub enum GpuError {
-    /// There is no usable device. Details, or empty.
+    /// There is no usable device. Details, possibly empty.
     #[error("no graphics device was found{}", after_colon(.0))]
     NoAdapter(String),
     /// The device does not meet the requirements.
@@ -17,12 +17,12 @@ pub enum GpuError {
     Unfit {
         /// The device's name.
         device: String,
-        /// The limit: actual and required.
+        /// The limit that is too low, with its actual and its required value.
         what: String,
     },
     /// A buffer would exceed the device's limit.
     #[error(
-        "{what} take {} MB, but the graphics device binds no more than {} MB at once",
+        "{what} take {} MB, but the graphics device allows buffers of at most {} MB",
         .needed.div_ceil(1_000_000),
         .limit / 1_000_000
     )]
@@ -40,7 +40,7 @@ pub enum GpuError {
     /// The device is out of memory.
     #[error("the graphics device is out of memory{}", after_colon(.0))]
     OutOfMemory(String),
-    /// Anything else that the device reports.
+    /// Any other error that the device reports.
     #[error("the graphics device failed{}", after_colon(.0))]
     Other(String),
 }
@@ -62,8 +62,8 @@ mod tests {
         let none = |detail: &str| GpuError::NoAdapter(detail.into()).to_string();
         assert_eq!(none(""), "no graphics device was found");
         assert_eq!(
-            none("only one in software"),
-            "no graphics device was found: only one in software"
+            none("only a software device"),
+            "no graphics device was found: only a software device"
         );
         let too_large = GpuError::TooLarge {
             what: "the gaussians",
@@ -72,7 +72,7 @@ mod tests {
         };
         assert_eq!(
             too_large.to_string(),
-            "the gaussians take 135 MB, but the graphics device binds no more than 134 MB at once"
+            "the gaussians take 135 MB, but the graphics device allows buffers of at most 134 MB"
         );
     }
 }

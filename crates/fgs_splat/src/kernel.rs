@@ -1,6 +1,6 @@
-//! Runs a kernel with the instructions that this process uses, see [`fgs_geom::Instructions`].
+//! Runs a kernel with the instruction set that this process uses; see [`fgs_geom::Instructions`].
 //!
-//! Multiply-adds are fused where the processor fuses them: elsewhere they would be library calls.
+//! Multiply-adds are fused only where the processor can: elsewhere they would be library calls.
 
 pub(crate) use fgs_geom::Kernel;
 
@@ -8,7 +8,7 @@ use crate::Real;
 
 #[cfg(test)]
 thread_local! {
-    /// Lets the kernels of a test's thread run on another instruction set.
+    /// Overrides the instruction set for kernels on a test's thread.
     pub(crate) static ONLY: std::cell::Cell<Option<fgs_geom::Instructions>> =
         const { std::cell::Cell::new(None) };
 }

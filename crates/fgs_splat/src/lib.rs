@@ -1,7 +1,7 @@
 //! Gaussian splatting: gaussians, a differentiable rasteriser of colour, depth and alpha, losses,
 //! Adam, the [`GaussianModel`] that ties them together, and PLY files. Knows nothing of SLAM.
 
-// Constants that only the shaders share.
+// Some constants and functions are shared with the shaders only.
 #![cfg_attr(not(feature = "gpu"), allow(dead_code, unused_imports))]
 
 mod adam;

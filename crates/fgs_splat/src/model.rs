@@ -1,5 +1,5 @@
 //! The interface between SLAM and the device that optimises the map. Parameters, gradients, Adam's
-//! state and the training views live behind [`GaussianModel`], and nothing is read back within a step.
+//! state and the training views stay behind [`GaussianModel`]; nothing is read back within a step.
 //!
 //! Every gaussian is anchored to the keyframe that it was seeded from. When a keyframe's pose is
 //! corrected, [`GaussianModel::move_anchored`] moves its gaussians and its view with it.
@@ -11,20 +11,20 @@ use crate::{
     AdamError, Gaussians, GpuError, LearningRates, LossError, LossSettings, Rendered, Target,
 };
 
-/// The caller's name for a gaussian of the sparse map.
+/// The caller's identifier of a gaussian of the sparse map.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct SparseId(pub u32);
 
-/// New gaussians.
+/// N new gaussians.
 #[derive(Clone, Debug, Default)]
 pub struct Seeds {
-    /// Their parameters, `[N]`.
+    /// Their parameters.
     pub gaussians: Gaussians,
-    /// The names of those that are part of the sparse map, `[N]`.
+    /// Ids of those that are part of the sparse map, `[N]`.
     pub sparse_ids: Vec<Option<SparseId>>,
 }
 
-/// Which gaussians [`GaussianModel::prune`] removes: any that one of the limits rejects.
+/// Which gaussians [`GaussianModel::prune`] removes: those that violate any of the limits.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PruneRule {
     /// Minimum opacity, 0 to 1.
@@ -35,29 +35,29 @@ pub struct PruneRule {
     pub max_aspect: f32,
 }
 
-/// What a finished step reports.
+/// Statistics of a finished step.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct StepStats {
     /// The view that was optimised.
     pub view: KeyframeId,
-    /// The loss before the step.
+    /// The loss before the step, scale regulariser included.
     pub loss: f32,
     /// How many gaussians contributed to a pixel.
     pub visible: usize,
-    /// How many gaussians were skipped because their gradient was not finite.
+    /// How many of these Adam left alone because their gradient or its square was not finite.
     pub skipped_gradients: usize,
 }
 
-/// How a model optimises.
+/// Settings of the optimisation.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct ModelSettings {
     /// The loss.
     pub loss: LossSettings,
-    /// The optimiser's step sizes.
+    /// Adam's learning rates.
     pub learning_rates: LearningRates,
 }
 
-/// Why a model refuses a call.
+/// Why a call to a model failed.
 #[derive(Debug, Error, PartialEq)]
 #[non_exhaustive]
 pub enum ModelError {
@@ -70,21 +70,24 @@ pub enum ModelError {
     /// A keyframe's motion is not finite in single precision.
     #[error("the motion of keyframe {} is not finite", .0.0)]
     NotFinite(KeyframeId),
-    /// The target's images are not of the view's size.
-    #[error("the view is {expected:?} pixels, its target {actual:?}")]
+    /// The target's size differs from the view's.
+    #[error(
+        "the view has {}x{} pixels, but its target has {}x{}",
+        .expected.0, .expected.1, .actual.0, .actual.1
+    )]
     TargetSize {
-        /// Width and height of the view's camera.
+        /// Width and height of the view's camera, pixels.
         expected: (usize, usize),
-        /// Width and height of the target.
+        /// Width and height of the target, pixels.
         actual: (usize, usize),
     },
     /// The seeds' arrays have different lengths.
-    #[error("seeds whose arrays have different lengths")]
+    #[error("the seeds' arrays have different lengths")]
     RaggedSeeds,
-    /// The view cannot be compared with its target.
+    /// The loss cannot be computed, for example because a rendered value is out of range.
     #[error(transparent)]
     Loss(#[from] LossError),
-    /// The optimiser refused its input.
+    /// Adam refused its input.
     #[error(transparent)]
     Adam(#[from] AdamError),
     /// The graphics device failed.
@@ -93,8 +96,10 @@ pub enum ModelError {
 }
 
 /// A map of gaussians that can be rendered and optimised.
+///
+/// A graphics device works asynchronously: any call may return the error of an earlier step.
 pub trait GaussianModel: Send {
-    /// Number of gaussians. On a device, pruned ones may still be counted for a few steps.
+    /// Number of gaussians. A graphics device may count pruned ones for a few more calls.
     fn len(&self) -> usize;
 
     /// Whether there are none.
@@ -102,52 +107,51 @@ pub trait GaussianModel: Send {
         self.len() == 0
     }
 
-    /// Adds a keyframe's view, for [`GaussianModel::step`] to optimise. `target` is what was measured
-    /// there. A keyframe whose view was dropped may get another.
+    /// Adds a keyframe's view, for [`GaussianModel::step`] to optimise. `target` holds the images
+    /// measured there. A keyframe whose view was dropped may get another.
     ///
     /// # Errors
     /// If the keyframe already has a view, the target's size is not the view's, or the device fails.
     fn add_view(&mut self, id: KeyframeId, view: View, target: Target) -> Result<(), ModelError>;
 
-    /// Drops a keyframe's view. Its gaussians stay, anchored as they are.
+    /// Drops a keyframe's view. Gaussians anchored to the keyframe stay.
     ///
     /// # Errors
     /// If there is no such view, or the device fails.
     fn drop_view(&mut self, id: KeyframeId) -> Result<(), ModelError>;
 
-    /// Adds gaussians anchored to a keyframe, which need not have a view.
+    /// Adds gaussians anchored to a keyframe. The keyframe need not have a view.
     ///
     /// # Errors
     /// If the seeds' arrays differ in length, or the device fails.
     fn insert(&mut self, seeds: &Seeds, anchor: KeyframeId) -> Result<(), ModelError>;
 
-    /// Moves everything that belongs to some keyframes: the gaussians anchored to them and, where
-    /// there is one, the keyframe's view. Each `Se3` is `new_world_from_old_world`; where a keyframe
-    /// is named twice its motions are applied in turn. Keyframes without gaussians or a view are
-    /// accepted.
+    /// Moves some keyframes: the gaussians anchored to them and their views, if they have any. Each
+    /// `Se3` is `new_world_from_old_world`; several motions of a keyframe are applied in turn.
+    /// Keyframes with neither gaussians nor a view are accepted.
     ///
-    /// Adam's moments are rotated along. First moments transform like the parameters' derivatives, so
-    /// this is exact. Second moments lack the off-diagonal terms and become
-    /// `v_i = sum_j R_ij^2 v_j`, exact for uncorrelated derivatives; this keeps Adam's bound on the
-    /// length of a step up to the square root of the number of axes.
+    /// Adam's moments rotate with the gaussians. First moments transform like the derivatives, which
+    /// is exact. Second moments lack the off-diagonal terms and become `v_i = sum_j R_ij^2 v_j`, which
+    /// is exact for uncorrelated derivatives and weakens Adam's bound on the step size by at most the
+    /// square root of the number of axes.
     ///
     /// # Errors
     /// If a motion is not finite, in which case nothing moves, or the device fails.
     fn move_anchored(&mut self, moves: &[(KeyframeId, Se3)]) -> Result<(), ModelError>;
 
-    /// Removes the gaussians that the rule rejects, and damaged ones.
+    /// Removes the gaussians that violate the rule or whose opacity or scales are NaN.
     ///
     /// # Errors
     /// If the device fails.
     fn prune(&mut self, rule: &PruneRule) -> Result<(), ModelError>;
 
-    /// Colour, depth and alpha as seen from a view.
+    /// Renders colour, depth and alpha.
     ///
     /// # Errors
     /// If the device fails.
     fn render(&mut self, view: &View) -> Result<Rendered, ModelError>;
 
-    /// The pixels of a view where the map's accumulated alpha is below `min_alpha`.
+    /// A mask of the view's size: true where the accumulated alpha is below `min_alpha` (0 to 1).
     ///
     /// # Errors
     /// If the device fails.
@@ -156,42 +160,44 @@ pub trait GaussianModel: Send {
     /// One optimisation step on a keyframe's view: render, loss, backward, Adam.
     ///
     /// # Errors
-    /// If there is no such view, or the device fails.
+    /// If there is no such view, a rendered value is out of range, or the device fails.
     fn step(&mut self, id: KeyframeId) -> Result<(), ModelError>;
 
-    /// Statistics of the steps that finished since the last call, in their order.
+    /// Statistics of the steps that finished since the last call, in order. On a graphics device a
+    /// step may finish a few steps later.
     fn take_stats(&mut self) -> Vec<StepStats>;
 
-    /// For each other view, ascending by id, the share of this view's visible gaussians that it
-    /// shows too. Visible means contributing to a pixel when the view was last rendered.
+    /// For each other view, by ascending id, the fraction of this view's visible gaussians that are
+    /// visible there too. Visible means contributing to a pixel when the view was added or last
+    /// optimised.
     ///
     /// # Errors
     /// If there is no such view, or the device fails.
     fn covisibility(&mut self, id: KeyframeId) -> Result<Vec<(KeyframeId, f32)>, ModelError>;
 
-    /// The gaussians of the sparse map that were pruned and not yet reported, by ascending id. Never
-    /// waits for the device: what was pruned a few steps ago may be reported by a later call.
+    /// Ids of the pruned gaussians of the sparse map that have not been reported yet, ascending. Never
+    /// waits for the device: recent prunings may be reported by a later call.
     ///
     /// # Errors
     /// If the device fails.
     fn take_removed(&mut self) -> Result<Vec<SparseId>, ModelError>;
 
-    /// A copy of all gaussians.
+    /// A copy of all gaussians, after all submitted work.
     ///
     /// # Errors
     /// If the device fails.
     fn gaussians(&mut self) -> Result<Gaussians, ModelError>;
 
-    /// Bytes that the model takes on a graphics device.
+    /// Memory that the model takes on a graphics device, bytes.
     fn device_bytes(&self) -> u64 {
         0
     }
 
-    /// All gaussians, once they are final; after a failure of the device, as they were last known.
+    /// All gaussians, after all submitted work; if the device has failed, the host's last copy.
     fn into_gaussians(self: Box<Self>) -> Gaussians;
 }
 
-/// Refuses a view that the model already has, or whose target is of another size.
+/// Rejects a view that the model already has, or whose target differs in size.
 pub(crate) fn check_view(
     exists: bool,
     id: KeyframeId,

@@ -1,10 +1,11 @@
-//! Gaussians as PLY files in the layout of the original 3D gaussian splatting.
+//! Gaussians as PLY files in the layout of the original 3D gaussian splatting, which splat viewers
+//! open.
 //!
-//! Input and output: element `vertex` with the float properties `x y z nx ny nz f_dc_0..2 opacity
-//! scale_0..2 rot_0..3`: stored parameters as they are (logits, log-scales, wxyz), so that what is
-//! written comes back bit for bit, and splat viewers open it. The normal is the flat axis, for
-//! viewers of point clouds. Files are written whole or not at all. A file never makes the reader
-//! panic, nor take more memory than a small multiple of the file's size, whatever its header says.
+//! Element `vertex` has the float properties `x y z nx ny nz f_dc_0..2 opacity scale_0..2 rot_0..3`:
+//! the stored parameters (metres, logits, log-scales, wxyz), so that a file reads back bit for bit.
+//! The normal is the gaussian's flat axis, for point-cloud viewers. Files are written atomically.
+//! No file makes the reader panic or take more memory than a small multiple of the file's size,
+//! whatever its header says.
 
 use crate::Gaussians;
 use ply_rs_bw::parser::{ParseError, Parser, Reader};
@@ -22,10 +23,11 @@ const PROPERTIES: [&str; 17] = [
     "x", "y", "z", "nx", "ny", "nz", "f_dc_0", "f_dc_1", "f_dc_2", "opacity", "scale_0", "scale_1",
     "scale_2", "rot_0", "rot_1", "rot_2", "rot_3",
 ];
-/// Where the normal is among [`PROPERTIES`]: the only ones that a file need not have.
+/// The normal in [`PROPERTIES`]: the only optional ones.
 const NORMAL: std::ops::Range<usize> = 3..6;
 
-/// A header has some 70 lines. Without an end, a file of other content is read as one.
+/// Real headers have some 70 lines. The limit stops a file of another kind from being read as an
+/// endless header.
 const MAX_HEADER_BYTES: u64 = 1 << 20;
 
 /// Why a PLY file was not read or written.
@@ -37,15 +39,15 @@ pub enum PlyError {
     Io {
         /// The file.
         path: PathBuf,
-        /// What the system says.
+        /// The operating system's error.
         source: io::Error,
     },
-    /// The file is not PLY. (The parser's message goes on for lines; the first one says it.)
+    /// The file is not valid PLY. (Of the parser's message, the first line is enough.)
     #[error("{}: {}", path.display(), source.to_string().lines().next().unwrap_or_default())]
     Parse {
         /// The file.
         path: PathBuf,
-        /// Where and why, with the line if it is a matter of lines.
+        /// The parser's error.
         source: ParseError,
     },
     /// The file ends too early.
@@ -53,7 +55,7 @@ pub enum PlyError {
     Truncated {
         /// The file.
         path: PathBuf,
-        /// The number that its header promises.
+        /// Their number according to the header.
         vertices: usize,
     },
     /// The first element is not `vertex`.
@@ -86,10 +88,10 @@ pub enum PlyError {
     },
 }
 
-/// Writes a binary little-endian PLY file, replacing what is there only once it is complete.
+/// Writes a binary little-endian PLY file atomically.
 ///
 /// # Errors
-/// If a parameter is not finite or the file cannot be written; nothing is then left behind.
+/// If a parameter is not finite or the file cannot be written; an existing file is then unchanged.
 pub fn write_ply(path: &Path, gaussians: &Gaussians) -> Result<(), PlyError> {
     for i in 0..gaussians.len() {
         Vertex::of(gaussians, i).check_finite(path, i)?;
@@ -113,12 +115,12 @@ fn write(file: &mut impl Write, gaussians: &Gaussians) -> io::Result<()> {
     Ok(())
 }
 
-/// Reads a PLY file, text or binary, of any order of properties; those it does not know are
-/// skipped, higher spherical harmonics among them.
+/// Reads a PLY file, text or binary, with its properties in any order. Unknown properties, such as
+/// higher spherical harmonics, are skipped.
 ///
 /// # Errors
-/// If the file cannot be read, is no PLY, does not begin with the vertices, lacks a property, ends
-/// early or holds a value that is not finite.
+/// If the file cannot be read, is not PLY, does not begin with the vertices, lacks a property, is
+/// truncated or holds a value that is not finite.
 pub fn read_ply(path: &Path) -> Result<Gaussians, PlyError> {
     let file = File::open(path).map_err(|source| PlyError::Io {
         path: path.to_owned(),
@@ -282,7 +284,7 @@ impl PropertyAccess for Vertex {
     }
 }
 
-/// The gaussian's third axis in the world, zero if the quaternion is.
+/// The gaussian's third axis in the world; zero if the quaternion is zero.
 fn flat_axis([w, x, y, z]: [f32; 4]) -> [f32; 3] {
     let axis = [
         2.0 * (x * z + w * y),

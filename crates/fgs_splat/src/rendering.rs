@@ -1,5 +1,5 @@
-//! What every rasteriser of this crate agrees on: the numbers of the image formation, what a
-//! render gives, and what its derivative takes and gives (paper Sec. III, Eq. 1).
+//! What every rasteriser of this crate agrees on: the constants of image formation, and the inputs
+//! and outputs of rendering and of its derivative (paper Sec. III, Eq. 1).
 //!
 //! Gaussians are blended front to back by the z of their centres (ties: by index) over black:
 //! `color = sum w_i c_i`, `depth = sum w_i z_i`, `alpha = sum w_i`, `w_i = T_i alpha_i`,
@@ -7,43 +7,44 @@
 
 use fgs_geom::{Camera, Image};
 
-/// An alpha under this is dropped: half a step of an 8-bit image cannot be seen. It also bounds
-/// the support of a gaussian: `sqrt(2 ln(255 o))` standard deviations.
+/// A smaller alpha is dropped: it changes an 8-bit image by less than one level. This bounds the
+/// support of a gaussian of opacity `o` to `sqrt(2 ln(255 o))` standard deviations.
 pub(crate) const ALPHA_MIN: f64 = 1.0 / 255.0;
 
-/// Alpha is clamped here, so that the transmittance never becomes 0 and the backward pass can
-/// divide by `1 - alpha`. No gradient beyond.
+/// Alpha is clamped to this, so that the transmittance never becomes 0 and the backward pass can
+/// divide by `1 - alpha`. A clamped alpha has no gradient.
 pub(crate) const ALPHA_MAX: f64 = 0.99;
 
-/// A pixel whose transmittance has fallen under this takes no further gaussian.
+/// A pixel with less transmittance is saturated: it takes no further gaussians.
 pub(crate) const TRANSMITTANCE_MIN: f64 = 1e-4;
 
-/// Added to both variances of a projected gaussian, px^2, so that none slips between pixels.
+/// Low-pass filter: added to both variances of a projected gaussian, px^2, so that none falls
+/// between pixels.
 pub(crate) const LOW_PASS_PX2: f64 = 0.3;
 
-/// Gaussians whose centre is nearer than this along z are not drawn.
+/// Near plane: gaussians with a smaller z of the centre are not drawn, metres.
 pub(crate) const NEAR_M: f64 = 0.2;
 
 /// The projection is linearised at the centre's direction, clamped per axis to this multiple of
-/// the image's half extent about the image's middle (not about the principal point): further out
-/// the linearisation explodes.
+/// the image's half extent about the image's middle (not the principal point): further out the
+/// linear approximation blows up.
 pub(crate) const FRUSTUM_MARGIN: f64 = 1.3;
 
-/// Below this |cos| between a pixel's ray and the disk's normal the depth is the centre's: the
-/// plane is seen edge-on and its depth says nothing.
+/// Below this |cos| between a pixel's ray and the disk's normal, the disk is seen almost edge-on and
+/// the depth of its plane is meaningless: the centre's depth is used.
 pub(crate) const PLANE_MIN_COS: f64 = 0.1;
 
-/// A gaussian with a parameter or a standard deviation (m) beyond this, or not finite, is damage
-/// and not drawn. Within it no product of the projection overflows `f32` unnoticed.
+/// A gaussian with a parameter or a standard deviation (m) that is larger in magnitude or not finite
+/// is damaged and not drawn. Within the limit no product of the projection overflows `f32` unnoticed.
 pub(crate) const MAX_MAGNITUDE: f64 = 1e9;
 
-/// A gaussian with a projected variance beyond this (a million pixels' deviation) is not drawn.
+/// A gaussian with a larger projected variance (standard deviation of a million pixels) is not drawn.
 pub(crate) const MAX_VARIANCE_PX2: f64 = 1e12;
 
-/// A quaternion with a smaller squared norm has no direction; its gaussian is not drawn.
+/// A quaternion with a smaller squared norm cannot be normalised; its gaussian is not drawn.
 pub(crate) const MIN_QUAT_NORM2: f64 = 1e-12;
 
-/// What a render gives: three images of the camera's size.
+/// The output of rendering: three images of the camera's size.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Rendered<T = f32> {
     /// Linear blend of the gaussians' RGB over black.
@@ -56,8 +57,8 @@ pub struct Rendered<T = f32> {
 }
 
 impl Rendered {
-    /// Depth of what is rendered at pixel (u, v), metres, without the share of the background:
-    /// divided by alpha, so not finite where nothing is rendered.
+    /// Depth along z at pixel (u, v), metres, normalised by alpha: not finite where nothing is
+    /// rendered.
     ///
     /// # Panics
     /// If the pixel lies outside.
@@ -67,7 +68,7 @@ impl Rendered {
 }
 
 impl<T: Copy + Default> Rendered<T> {
-    /// Takes on a size; what the images hold is then of no meaning.
+    /// Resizes the images; their contents are then unspecified.
     pub(crate) fn resize(&mut self, width: usize, height: usize) {
         resize(&mut self.color, width, height);
         resize(&mut self.depth_m, width, height);
@@ -81,19 +82,19 @@ fn resize<X: Copy + Default>(image: &mut Image<X>, width: usize, height: usize) 
     }
 }
 
-/// The loss's derivatives by each image of [`Rendered`].
+/// The loss's derivatives with respect to the images of [`Rendered`].
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Cotangents<T = f32> {
-    /// By the colour.
+    /// Colour.
     pub d_color: Image<[T; 3]>,
-    /// By the depth (not normalised), 1/m.
+    /// Depth (not divided by alpha), 1/m.
     pub d_depth_m: Image<T>,
-    /// By alpha.
+    /// Alpha.
     pub d_alpha: Image<T>,
 }
 
 impl<T: Copy + Default> Cotangents<T> {
-    /// All zero.
+    /// Zeros of the camera's size.
     pub fn zeros(camera: &Camera) -> Self {
         let (width, height) = (camera.width, camera.height);
         Self {
@@ -103,7 +104,7 @@ impl<T: Copy + Default> Cotangents<T> {
         }
     }
 
-    /// Takes on a size; what the images hold is then of no meaning.
+    /// Resizes the images; their contents are then unspecified.
     pub(crate) fn resize(&mut self, width: usize, height: usize) {
         resize(&mut self.d_color, width, height);
         resize(&mut self.d_depth_m, width, height);
@@ -111,26 +112,26 @@ impl<T: Copy + Default> Cotangents<T> {
     }
 }
 
-/// The loss's derivatives by one gaussian's parameters as they are stored.
+/// The loss's derivatives with respect to a gaussian's stored parameters.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct GaussianGradient<T = f32> {
-    /// By the centre.
+    /// Centre, world axes, 1/m.
     pub d_mean: [T; 3],
-    /// By the quaternion as stored (through its normalisation).
+    /// Quaternion as stored, wxyz (through its normalisation).
     pub d_quat: [T; 4],
-    /// By the logarithms of the scales.
+    /// Logarithms of the scales.
     pub d_log_scales: [T; 3],
-    /// By the opacity logit.
+    /// Opacity logit.
     pub d_opacity_logit: T,
-    /// By the colour coefficients.
+    /// Colour coefficients.
     pub d_sh: [T; 3],
 }
 
-/// The loss's derivatives by the gaussians that a view touches; by all others they are zero.
+/// The gradients of the M gaussians that contribute to a view; those of all others are zero.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct GaussianGradients<T = f32> {
     /// Indices of the gaussians that contributed to a pixel, ascending, `[M]`.
     pub touched: Vec<u32>,
-    /// Entry k is by gaussian `touched[k]`, `[M]`.
+    /// Entry k belongs to gaussian `touched[k]`, `[M]`.
     pub gradients: Vec<GaussianGradient<T>>,
 }

@@ -1,9 +1,9 @@
-//! The rigid motion of the gaussians anchored to a keyframe, and what it makes of Adam's moments.
+//! The rigid motion of the gaussians anchored to a keyframe, and its effect on Adam's moments.
 //!
-//! A gaussian at `mean` with rotation `quat` goes to `R mean + t` and `r quat`, where `r` is the
-//! quaternion of `R`. Both are linear in the parameters, so their derivatives, and with them first
-//! moments, go through the same matrices `R` (3x3) and `L`, the left multiplication by `r` (4x4).
-//! Second moments go through these matrices with each entry squared.
+//! A gaussian's `mean` and `quat` become `R mean + t` and `r quat`, with `r` the quaternion of `R`.
+//! Both are linear with orthogonal matrices: `R` (3x3) and `L`, left multiplication by `r` (4x4). So
+//! gradients, and with them Adam's first moments, transform by the same matrices. Second moments
+//! transform by the matrices with each entry squared.
 
 use std::collections::BTreeMap;
 
@@ -11,7 +11,7 @@ use fgs_geom::{KeyframeId, Se3, View};
 
 use crate::ModelError;
 
-/// One motion by keyframe: those of the same keyframe in turn.
+/// One motion per keyframe; several motions of a keyframe are composed in turn.
 ///
 /// # Errors
 /// If one is not finite in single precision.
@@ -32,7 +32,7 @@ pub(crate) fn by_keyframe(
     Ok(motions)
 }
 
-/// A view from where the motion takes its camera.
+/// The view after its camera has been moved.
 pub(crate) fn moved(view: &View, motion: &Se3) -> View {
     View {
         world_from_camera: (*motion * view.world_from_camera).renormalized(),

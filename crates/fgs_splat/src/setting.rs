@@ -1,22 +1,22 @@
-//! What a setting may be. Limits are checked where the setting's type lives, and each layer puts
-//! its own name before the key: `l1_weight`, `loss.l1_weight`, `mapping.loss.l1_weight`.
+//! Validation of settings. Limits are checked where the setting's type is defined, and each layer
+//! prepends its name to the key: `l1_weight`, `loss.l1_weight`, `mapping.loss.l1_weight`.
 
 use std::ops::RangeInclusive;
 
-/// A setting that nothing can work with.
+/// A setting with a value that is not allowed.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[error("{key} = {value} is not possible: it must be {expected}")]
 pub struct SettingError {
     /// Dotted path of the setting.
     pub key: String,
-    /// The value refused.
+    /// The rejected value.
     pub value: f64,
-    /// What it should be.
+    /// What is allowed, to follow "must be".
     pub expected: String,
 }
 
 impl SettingError {
-    /// The same error, of a setting inside this group.
+    /// The same error for a setting inside this group.
     pub fn within(self, group: &str) -> Self {
         Self {
             key: format!("{group}.{}", self.key),

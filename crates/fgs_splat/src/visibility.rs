@@ -1,10 +1,10 @@
-//! Sets of gaussians as bits, so that the overlap of two views is a count of common bits.
+//! Sets of gaussians as bitmaps: the overlap of two views is a population count.
 
-/// Words of a page: 4096 gaussians, some seeds of one keyframe.
+/// Words of a page: 4096 gaussians, a part of one keyframe's seeds.
 const PAGE_WORDS: usize = 64;
 
-/// A set of gaussian indices. Pages without any take no memory, so that a view's set grows with
-/// what the view shows and not with the map.
+/// A set of gaussian indices. Empty pages take no memory, so a view's set grows with what the view
+/// shows, not with the map.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct VisibleSet {
     pages: Vec<Option<Box<[u64; PAGE_WORDS]>>>,
@@ -31,12 +31,12 @@ impl VisibleSet {
         words[word % PAGE_WORDS] |= 1 << (index % 64);
     }
 
-    /// How many indices it holds.
+    /// Number of indices in the set.
     pub(crate) fn count(&self) -> usize {
         self.count_common(self)
     }
 
-    /// How many indices both sets hold.
+    /// Number of indices in both sets.
     pub(crate) fn count_common(&self, other: &Self) -> usize {
         let pages = self.pages.iter().zip(&other.pages);
         let common = pages.filter_map(|(a, b)| Some(a.as_ref()?.iter().zip(b.as_ref()?.iter())));
@@ -63,7 +63,7 @@ impl VisibleSet {
         })
     }
 
-    /// The set after gaussians were removed: `new_from_old[i]` is where gaussian i is now.
+    /// The set after pruning: `new_from_old[i]` is the new index of gaussian i.
     pub(crate) fn compacted(&self, new_from_old: &[Option<u32>]) -> Self {
         let mut set = Self::default();
         for old in self.iter() {

@@ -134,7 +134,7 @@ device_structs! {
         sparse_id: u32,
     }
 
-    /// The loss's derivatives by a gaussian's parameters.
+    /// The loss's derivatives with respect to a gaussian's stored parameters.
     struct Gradient {
         mean: [f32; 3],
         opacity_logit: f32,

@@ -1,8 +1,7 @@
 // The derivative of `forward.wgsl`; counterpart of `cpu/backward.rs`. Walks a tile's list back to
-// front in batches, in two phases. In the first, each thread takes a pixel and computes each entry's
-// weight there and the loss's derivative by its exponent. In the second, each thread takes an entry
-// and sums over a quarter of the pixels. Only the final sum of four quarters crosses threads, in a
-// fixed order.
+// front in batches of two phases. First each thread takes a pixel and computes each entry's weight
+// there and d loss / d exponent. Then each thread takes an entry and sums over a quarter of the
+// pixels. Only the final sum of four quarters crosses threads, in a fixed order.
 
 @group(0) @binding(0) var<uniform> view: View;
 @group(0) @binding(1) var<storage, read> ranges: array<vec2<u32>>;
@@ -10,7 +9,7 @@
 @group(0) @binding(3) var<storage, read> slot_splats: array<u32>;
 @group(0) @binding(4) var<storage, read> splats: array<Splat>;
 @group(0) @binding(5) var<storage, read> pixel_states: array<PixelState>;
-// The loss's derivatives by colour and depth, and by alpha.
+// The loss's derivatives with respect to colour and depth, and to alpha.
 @group(0) @binding(6) var<storage, read> cotangents: array<vec4<f32>>;
 @group(0) @binding(7) var<storage, read> d_alpha: array<f32>;
 // Per slot, the sums over its tile's pixels; see `add_up`.
@@ -65,7 +64,7 @@ fn backward(
     let entry = thread % BATCH;
     let quarter = thread / BATCH;
     var transmittance = state.transmittance;
-    // Sum over the entries visited so far of weight times the loss's derivative by the weight.
+    // Sum over the entries visited so far of weight times d loss / d weight.
     var behind = 0.0;
     for (var end = used; end > 0u;) {
         let len = min((end - 1u) % BATCH + 1u, end);

@@ -6,8 +6,8 @@
 // then the bits of the depth in metres.
 @group(0) @binding(2) var<storage, read> measured: array<vec2<u32>>;
 @group(0) @binding(3) var<storage, read> rendered: array<vec4<f32>>;
-// [channel][3][pixel]: derivatives of the sum of 1 - SSIM by the windowed mean of d plus that of s,
-// by that of d^2 and by that of s^2.
+// [channel][3][pixel]: derivatives of the sum of 1 - SSIM with respect to windowed means: of d and s
+// (their sum), of d^2, and of s^2.
 @group(0) @binding(4) var<storage, read_write> moments: array<f32>;
 // [3][workgroup]: sums of 1 - SSIM, of absolute colour errors and of absolute depth errors (m).
 @group(0) @binding(5) var<storage, read_write> loss_sums: array<f32>;

@@ -1,5 +1,5 @@
-// The loss's derivatives by the rendered colour, depth and alpha; counterpart of `losses/color.rs`
-// and `losses/depth.rs`.
+// The loss's derivatives with respect to the rendered colour, depth and alpha; counterpart of
+// `losses/color.rs` and `losses/depth.rs`.
 
 @group(0) @binding(6) var<storage, read> pixel_states: array<PixelState>;
 @group(0) @binding(7) var<storage, read_write> cotangents: array<vec4<f32>>;

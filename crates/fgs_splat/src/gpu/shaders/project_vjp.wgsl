@@ -197,8 +197,8 @@ fn gradient_of(
     return gradient;
 }
 
-// Derivative by the stored quaternion (wxyz, of that norm), from those by the columns of its
-// rotation matrix.
+// From the derivatives with respect to the columns of a rotation matrix to those with respect to
+// the stored quaternion (wxyz, of that norm).
 fn quat_vjp(
     unit: vec4<f32>,
     norm: f32,
