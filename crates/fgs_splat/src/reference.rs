@@ -1,6 +1,6 @@
-//! The rasteriser once more, slow and obvious: each pixel blends all gaussians, matrices are
-//! multiplied and inverted as in the textbook. Runs on `f64` and on dual numbers. Shares nothing
-//! with the CPU rasteriser but the limits of `rendering.rs`.
+//! The reference rasteriser, slow and obvious: each pixel blends all gaussians, and matrices are
+//! multiplied and inverted as in the textbook. Runs on `f64` and on dual numbers. Shares only the
+//! constants of `rendering.rs` with the CPU rasteriser.
 
 use fgs_geom::View;
 use num_dual::DualNum;
@@ -17,7 +17,7 @@ pub struct Pixel<D> {
     pub color: [D; 3],
     pub depth_m: D,
     pub alpha: D,
-    /// How near, relatively, the closest decision on the way was to falling the other way.
+    /// Smallest relative distance of any comparison along the way from its threshold.
     pub margin: f64,
 }
 

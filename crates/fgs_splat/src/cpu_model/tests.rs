@@ -62,7 +62,7 @@ fn model() -> CpuModel {
     model
 }
 
-/// Colour and depth stretch the disks one way or another; the regulariser keeps them round by its
+/// Colour and depth losses stretch the disks; the regulariser keeps them round, more so with a larger
 /// weight.
 #[test]
 fn the_regularizer_counts_by_its_weight() {
@@ -88,7 +88,7 @@ fn the_regularizer_counts_by_its_weight() {
 fn steps_lower_the_loss() {
     let mut model = model();
     model.add_view(KEYFRAME, view(0.0), target()).unwrap();
-    // A colour moves by 0.28 of the learning rate 1e-2 a step, and has up to 0.45 to go.
+    // A step moves a colour by about 0.28 of the decaying learning rate 2e-2; up to 0.45 is needed.
     for _ in 0..100 {
         model.step(KEYFRAME).unwrap();
     }
@@ -148,7 +148,7 @@ fn pruning_removes_the_faint_the_long_and_the_narrow_and_nothing_else() {
     assert_eq!(model.take_removed().unwrap(), []);
     model.prune(&rule).unwrap();
     assert_eq!(model.len(), count - 4);
-    // What the views show has moved up with the gaussians.
+    // Visibility sets have been compacted along with the gaussians.
     let before = model.covisibility(ahead).unwrap();
     model.drop_view(aside).unwrap();
     model.add_view(fresh, view(0.4), target()).unwrap();
@@ -174,7 +174,7 @@ fn wrong_calls_are_refused() {
         refused,
         Err(ModelError::TargetSize { actual: (3, 2), .. })
     ));
-    // What was dropped may come back.
+    // A dropped view may be added again.
     model.add_view(id, view(0.0), target()).unwrap();
     let mut ragged = wall();
     ragged.gaussians.sh.pop();

@@ -15,14 +15,14 @@ use crate::rendering::{
     PLANE_MIN_COS, TRANSMITTANCE_MIN,
 };
 
-/// Workgroup size of most stages, threads. The two that blend have one thread per pixel of a tile.
+/// Workgroup size of most stages, threads. `forward` and `backward` have one per pixel of a tile.
 pub const GROUP: u32 = 256;
 /// Keys per workgroup of the radix sort.
 pub const SORT_BLOCK: u32 = 2048;
 /// Side of a tile, pixels. Small, since most gaussians are a few pixels wide and every pixel of a
 /// tile evaluates all of the tile's gaussians.
 pub const TILE: u32 = 8;
-/// Side of the block of pixels of a workgroup of the loss.
+/// Side of the pixel block of a loss workgroup.
 pub const LOSS_SIDE: u32 = 16;
 /// Vectors of 16 bytes that a thread copies when bandwidth is measured.
 pub const COPIED_ROWS: u32 = 4;

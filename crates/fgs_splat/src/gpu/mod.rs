@@ -7,8 +7,8 @@
 //! holds the gaussians, `training_views` the views and `work_queue` the submissions in flight;
 //! `gpu_model` makes a [`GaussianModel`](crate::GaussianModel) of the three.
 //!
-//! Invariants: nothing is read back within a step; no sum depends on the order of threads, so that
-//! results on one device are reproducible to the bit.
+//! Invariants: nothing is read back within a step; no sum depends on how threads are scheduled, so
+//! that results on one device are reproducible to the bit.
 
 mod buffers;
 mod device;

@@ -43,7 +43,7 @@ impl StageTimer {
         }))
     }
 
-    /// The queries for the next stage's start and end. `None`, and the stage untimed, if all are used.
+    /// The queries for the next stage's start and end; `None` if all are in use.
     pub(super) fn next(
         &mut self,
         stage: &'static str,
@@ -60,7 +60,7 @@ impl StageTimer {
         })
     }
 
-    /// Records the resolving of the queries.
+    /// Records the copy of the timestamps into a buffer.
     pub(super) fn resolve(&self, encoder: &mut wgpu::CommandEncoder) {
         let count = 2 * self.stages.len() as u32;
         encoder.resolve_query_set(&self.queries, 0..count, &self.ticks, 0);

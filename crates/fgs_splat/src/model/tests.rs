@@ -1,4 +1,4 @@
-//! What every backend promises of anchors and transparency, checked on each that is there.
+//! What every backend promises about anchors and transparency, checked on each available one.
 
 use fgs_geom::{Image, KeyframeId, Se3, View};
 use nalgebra::{UnitQuaternion, Vector3, Vector6};
@@ -11,7 +11,7 @@ use crate::cpu::tests::scenes::{random_gaussians, random_view, rng, to_f32};
 use crate::gpu::{GpuModel, tests::device};
 use crate::rigid_motion::{RigidMotion, moved, transformed};
 
-/// The first keyframe has a view, the second gaussians alone.
+/// The first keyframe has a view and gaussians, the second only gaussians.
 const FIRST: KeyframeId = KeyframeId(3);
 const SECOND: KeyframeId = KeyframeId(8);
 /// Gaussians of each keyframe.
@@ -23,7 +23,7 @@ const RULE: PruneRule = PruneRule {
     max_aspect: 100.0,
 };
 
-/// Calls `check` with a maker of empty models of each backend.
+/// Calls `check` with a constructor of empty models for each backend.
 fn on_each_backend(check: impl Fn(&dyn Fn(&ModelSettings) -> Box<dyn GaussianModel>)) {
     check(&|settings| Box::new(CpuModel::new(settings.clone())));
     #[cfg(feature = "gpu")]
@@ -68,12 +68,12 @@ impl World {
     }
 }
 
-/// What a loop closure may do to a keyframe.
+/// A correction as after a loop closure.
 fn correction() -> Se3 {
     Se3::exp(&Vector6::new(0.1, -0.2, 0.15, 0.3, -0.5, 0.2))
 }
 
-/// The furthest that two lists of vectors are apart.
+/// The largest difference between two lists of vectors, per component.
 fn difference<const N: usize>(a: &[[f32; N]], b: &[[f32; N]]) -> f32 {
     assert_eq!(a.len(), b.len());
     let pairs = a.as_flattened().iter().zip(b.as_flattened());
@@ -97,7 +97,7 @@ fn a_world_moved_as_a_whole_looks_the_same_to_its_camera() {
         ]
         .map(|(a, b)| difference(one(a).data(), one(b).data()));
         assert!(depths <= 5e-4 && alphas <= 1e-4, "{depths} {alphas}");
-        // From where the camera was, it does not.
+        // From the old pose the render has changed.
         let elsewhere = model.render(&world.view).unwrap();
         assert!(difference(before.color.data(), elsewhere.color.data()) > 0.1);
     });
@@ -108,7 +108,7 @@ fn exactly_the_gaussians_of_a_moved_keyframe_move() {
     let world = world();
     on_each_backend(|new_model| {
         let mut model = world.fill(new_model(&ModelSettings::default()));
-        // The anchors of those that stay must move up with them when others are pruned.
+        // Pruning must compact the anchors along with the gaussians.
         model.prune(&RULE).unwrap();
         let before = model.gaussians().unwrap();
         let faint = |seeds: &Seeds| {
@@ -158,7 +158,7 @@ fn exactly_the_gaussians_of_a_moved_keyframe_move() {
     });
 }
 
-/// The losses of steps with a motion of everything after some of them.
+/// The losses of 20 steps, with a motion of everything after the first five.
 fn losses(mut model: Box<dyn GaussianModel>, motion: Option<Se3>) -> Vec<f32> {
     for _ in 0..5 {
         model.step(FIRST).unwrap();
@@ -175,8 +175,8 @@ fn losses(mut model: Box<dyn GaussianModel>, motion: Option<Se3>) -> Vec<f32> {
     model.take_stats().iter().map(|step| step.loss).collect()
 }
 
-/// Adam moves each coordinate by itself. Where a rotation exchanges axes, or turns them round, it must
-/// go on as if nothing had happened; where it mixes them, nearly so.
+/// Adam treats coordinates independently. After a rotation that permutes or flips axes it must go on
+/// as if nothing had happened; after one that mixes them, nearly so.
 #[test]
 fn optimisation_goes_on_through_a_motion_of_everything() {
     let world = world();
@@ -185,7 +185,7 @@ fn optimisation_goes_on_through_a_motion_of_everything() {
         let rotation = UnitQuaternion::from_axis_angle(&axis, angle);
         Se3::new(rotation, Vector3::new(0.2, -0.1, 0.3))
     };
-    // Half a turn exchanges the quaternion's entries, a third of one the axes of the means.
+    // Half a turn permutes the quaternion's components, a third of a turn the axes of the means.
     let third = 2.0 * std::f64::consts::FRAC_PI_3;
     let still = LearningRates {
         quats: 0.0,
@@ -247,7 +247,7 @@ fn one_sees_through_where_alpha_is_below_the_limit() {
             assert_eq!((through.width(), through.height()), (60, 44));
             let mut counts = [0, 0];
             for (through, alpha) in through.data().iter().zip(alpha.data()) {
-                // Near the limit rounding decides.
+                // Close to the limit rounding may decide either way.
                 if (alpha - min_alpha).abs() > 1e-3 {
                     assert_eq!(*through, *alpha < min_alpha, "{alpha}");
                     counts[usize::from(*through)] += 1;

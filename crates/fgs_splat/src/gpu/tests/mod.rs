@@ -1,4 +1,4 @@
-//! Tests of the shaders by themselves, then of every stage against the CPU.
+//! Tests of the shaders alone, of every stage against the CPU, and of the whole model.
 
 mod device;
 mod model;

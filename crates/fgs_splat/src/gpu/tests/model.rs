@@ -1,5 +1,5 @@
 //! The whole model against the CPU's: steps, insertion, pruning, the sparse map, covisibility; and
-//! what happens when there is no room or no device any more.
+//! what happens when tile lists overflow or the device is lost.
 
 use fgs_geom::{KeyframeId, Se3, View};
 use nalgebra::Vector6;
@@ -22,7 +22,7 @@ const RULE: PruneRule = PruneRule {
     max_aspect: 4.0,
 };
 
-/// A scene of three views with targets that the gaussians can move to.
+/// Gaussians, and three views with random targets.
 struct World {
     gaussians: Gaussians,
     views: Vec<(View, Target)>,
@@ -47,7 +47,7 @@ fn world(count: usize) -> World {
     World { gaussians, views }
 }
 
-/// Keyframes of the world's views; all gaussians are the first one's.
+/// Keyframes of the world's views. All its gaussians are anchored to the first.
 const IDS: [KeyframeId; 3] = [KeyframeId(0), KeyframeId(1), KeyframeId(2)];
 
 fn fill(model: &mut impl GaussianModel, world: &World) {
@@ -57,7 +57,7 @@ fn fill(model: &mut impl GaussianModel, world: &World) {
     }
 }
 
-/// Steps, insertion and pruning by turns; at last insertion where pruning has left something.
+/// Interleaved steps, insertions and a pruning, directly followed by an insertion.
 fn work(model: &mut impl GaussianModel, world: &World) {
     for round in 0..12 {
         model.step(IDS[round % IDS.len()]).unwrap();
@@ -149,8 +149,8 @@ fn compare_after_a_step(
     );
     assert_eq!(gpu_stats.skipped_gradients, cpu_stats.skipped_gradients);
 
-    // A first step is a learning rate long, up or down: where a derivative is nearly zero its sign
-    // is rounding's. So nearly all agree, and none is off by more than both ways.
+    // Adam's first step is one learning rate up or down, and the sign of a derivative close to zero
+    // depends on rounding. So nearly all agree, and none is off by more than twice the rate.
     let rates = &settings.learning_rates;
     let steps = [
         rates.means,
@@ -208,7 +208,7 @@ fn many_steps_with_insertion_and_pruning_stay_with_the_cpu() {
     assert_eq!(lens.0, lens.1);
     assert!(lens.0 < 3 * world.gaussians.len());
     let (on_gpu, on_cpu) = (gpu.gaussians().unwrap(), cpu.gaussians().unwrap());
-    // Twelve steps of the learning rates, few of them in directions that rounding chose.
+    // Twelve steps of at most a learning rate, few of them with a sign that depends on rounding.
     let rates = ModelSettings::default().learning_rates;
     let rates = [
         rates.means,
@@ -243,7 +243,7 @@ fn covisibility_is_the_cpus_through_pruning_and_growing() {
     };
     fill(&mut gpu, &world);
     fill(&mut cpu, &world);
-    // More views than there are sets at first, and more gaussians than there is room for.
+    // More views and gaussians than the initial capacity.
     let extra: Vec<KeyframeId> = (10..30).map(KeyframeId).collect();
     for (i, id) in extra.iter().enumerate() {
         let (view, target) = &world.views[i % 3];
@@ -280,7 +280,7 @@ fn covisibility_is_the_cpus_through_pruning_and_growing() {
         }
         assert!(on_cpu.iter().any(|(_, share)| (0.02..1.0).contains(share)));
     }
-    // No set shares more with it than its own: all of it.
+    // A set has the most in common with itself: all of it.
     let counts = gpu.work.find_visible(new).unwrap();
     gpu.covisibility(new).unwrap();
     let overlaps = gpu.work.map.buffers.get("overlaps").unwrap();
@@ -325,7 +325,7 @@ fn a_render_stays_as_it_is_when_buffers_grow() {
         ..world.views[0].0
     };
     let before = gpu.render(&view).unwrap();
-    // The lists are longer than the gaussians are many.
+    // There are more list entries than gaussians.
     gpu.insert(&seeds(&Gaussians::zeros(20_000)), IDS[0])
         .unwrap();
     assert!(gpu.render(&view).unwrap() == before);
@@ -375,7 +375,7 @@ fn without_room_steps_are_repeated_and_nothing_is_lost() {
     assert!(tight == roomy);
 }
 
-/// How many times something waits for the device.
+/// How many times `something` waits for the device.
 fn waits(something: impl FnOnce()) -> usize {
     let before = WAITS.get();
     something();
@@ -397,8 +397,8 @@ fn an_ordinary_frame_does_not_wait_for_the_device() {
         gpu.move_anchored(&[(IDS[0], motion())]).unwrap();
     };
     assert_eq!(waits(|| frame(&mut gpu)), 0);
-    // Later on only where the device is that far behind, and then for the oldest alone: it never runs
-    // out of work. A pruning arrives in two parts.
+    // Later calls wait only if the queue is full, and then only for its oldest entry, so the device
+    // stays busy. A pruning has two readbacks.
     for _ in 0..5 {
         assert!(waits(|| frame(&mut gpu)) <= 4);
         assert_eq!(gpu.work.in_flight(), 4);
@@ -426,7 +426,7 @@ fn prunings_that_overtake_their_reports_remove_each_gaussian_once() {
         model.prune(&rule(0.4)).unwrap();
         model.step(IDS[0]).unwrap();
     }
-    // Not known yet, but not drawn any more either.
+    // The host does not know yet how many were removed.
     assert!(gpu.len() == 300 && cpu.len() <= 100);
     assert!(gpu.take_removed().unwrap().is_empty());
     gpu.finish_steps().unwrap();
@@ -477,7 +477,7 @@ fn a_render_out_of_range_says_where() {
     }
     fill(&mut gpu, &world);
     fill(&mut cpu, &world);
-    // What is seen is known all the same.
+    // The visibility sets are valid nevertheless.
     let seen = gpu.covisibility(IDS[0]).unwrap();
     let share = cpu.covisibility(IDS[0]).unwrap()[0].1;
     assert!(share > 0.5 && (seen[0].1 - share).abs() <= 0.1);
@@ -596,7 +596,7 @@ fn half_a_million_gaussians_stay_in_order() {
         return;
     };
     let mut gpu = GpuModel::new(device, &ModelSettings::default()).unwrap();
-    // More workgroups than one scan goes over at a time.
+    // More blocks than one round of the scan covers.
     let count = (1 << 19) + 3000;
     let mut many = Gaussians::zeros(count);
     for i in 0..count {
@@ -640,7 +640,7 @@ fn lists_longer_than_any_number_are_refused() {
     let mean = view
         .world_from_camera
         .transform(&view.camera.unproject(500.0, 500.0, 1.0));
-    // 2^18 gaussians in each of 2^14 tiles: as a number of 32 bits that would be none.
+    // 2^18 gaussians in each of 2^14 tiles: the number of touches wraps to zero in 32 bits.
     let mut everywhere = Gaussians::<f64>::default();
     everywhere.push(&Gaussian {
         mean: mean.into(),
@@ -659,7 +659,7 @@ fn lists_longer_than_any_number_are_refused() {
         "{:?}",
         refused.map(|_| ())
     );
-    // Nothing else is wrong with the model.
+    // The model is still usable.
     assert_eq!(gpu.gaussians().unwrap().len(), 1 << 18);
 }
 

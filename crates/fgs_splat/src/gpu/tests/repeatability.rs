@@ -1,5 +1,5 @@
-//! The same calls give the same bits: again, with accesses to memory checked or not, and with
-//! subgroup operations or without.
+//! The same calls give the same bits when repeated, and with or without subgroup operations. Without
+//! bounds checks the compiled code differs, and results agree up to rounding.
 
 use fgs_geom::KeyframeId;
 
@@ -10,7 +10,7 @@ use crate::gpu::gpu_model::GpuModel;
 use crate::gpu::stage::StageOptions;
 use crate::{GaussianModel, Gaussians, GpuDevice, ModelSettings, PruneRule, StepStats};
 
-/// A short life of a map: two views, steps, new gaussians, pruning.
+/// A short run: insertion, three views, steps and prunings.
 fn live(device: GpuDevice) -> (Gaussians, Vec<StepStats>) {
     let mut rng = rng(5);
     let mut model = GpuModel::with_room(device, &ModelSettings::default(), 1, 1 << 16).unwrap();
@@ -42,7 +42,7 @@ fn the_same_bits_every_time() {
     let Some(device) = device() else {
         return;
     };
-    // Its subgroup operations were found right, or it has none.
+    // Its subgroup operations passed the check, or it has none.
     let left_out = |caveat: &&str| caveat.contains("subgroup operations disabled");
     assert!(!device.caveats().iter().any(left_out));
     let first = live(device.clone());
@@ -63,8 +63,8 @@ fn the_same_bits_by_other_scans_and_nearly_the_same_unchecked() {
         checked: true,
     });
     assert!(live(by_other_scans.unwrap()) == (gaussians.clone(), stats.clone()));
-    // Other code, whose multiply-adds a compiler may fuse elsewhere; but an access that the checks
-    // have caught would do more than round.
+    // A compiler may fuse other multiply-adds in unchecked code; but an access that the checks have
+    // prevented would change more than rounding.
     for by_subgroups in [false, true] {
         let unchecked = open(|features| StageOptions {
             by_subgroups: by_subgroups && features.contains(wgpu::Features::SUBGROUP),

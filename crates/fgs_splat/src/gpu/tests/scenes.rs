@@ -1,4 +1,4 @@
-//! Scenes for the stages, as DESIGN asks for them, and a model that holds one.
+//! Scenes for the tests of the stages, and a model that holds one.
 
 use fgs_geom::{Image, KeyframeId, View};
 use rand::RngExt;
@@ -104,7 +104,7 @@ pub fn seeds(gaussians: &Gaussians) -> Seeds {
     }
 }
 
-/// Random colours, and depths that every fifth pixel lacks.
+/// Random colours and depths; every fifth pixel has no valid depth.
 pub fn random_target(rng: &mut Pcg64Mcg, view: &View) -> Target {
     let (width, height) = (view.camera.width, view.camera.height);
     let color = Image::from_fn(width, height, |_, _| {

@@ -1,4 +1,4 @@
-//! All shaders are valid, and Rust's structures lie as the shaders' do. Needs no device.
+//! All shaders are valid, and structs have the same layout in Rust and in WGSL. Needs no device.
 
 use naga::back::{hlsl, msl};
 
@@ -47,7 +47,7 @@ fn structures_lie_as_the_shaders_have_them() {
     assert!(compared >= layouts().len());
 }
 
-/// Drivers may keep one in memory of each thread's own, wherever a loop's counter is its index.
+/// Drivers may spill constant arrays that a loop counter indexes to thread-local memory.
 #[test]
 fn no_shader_has_a_constant_array() {
     for file in SHADER_FILES {

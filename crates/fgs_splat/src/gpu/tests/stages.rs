@@ -1,4 +1,4 @@
-//! Each stage against its twin on the CPU, on all scenes.
+//! Each stage against its CPU counterpart, on all scenes.
 
 use std::sync::Arc;
 
@@ -22,9 +22,9 @@ fn fetch<T: bytemuck::Pod>(model: &GpuModel, name: &str, len: usize) -> Vec<T> {
     read(model.work.map.device(), buffer, 0, len).unwrap()
 }
 
-/// Runs `check` on every scene after a pass forward and backward with a random target. What the
-/// passes of another view, a smaller one, have left in the buffers must not show. Every other scene
-/// has colours that the camera did not see.
+/// Runs `check` on every scene after a forward and a backward pass with a random target. Data left in
+/// the buffers by another, smaller view must not matter. Every other scene has colours that the camera
+/// did not see.
 fn on_all_scenes(check: impl Fn(&Scene, &crate::Target, &GpuModel, &[u32])) {
     for (seed, scene) in (0..).zip(scenes()) {
         let Some(mut model) = model_of(&scene, &ModelSettings::default()) else {
@@ -83,7 +83,7 @@ fn splats_are_the_cpus() {
                 &[actual.plane_offset],
             ]
             .concat();
-            // A normal at right angles to the ray may be turned to either side.
+            // The sign of a normal perpendicular to the ray is arbitrary.
             let faces = splat[13].abs() > 1e-4;
             for (i, (a, b)) in numbers.iter().zip(splat).enumerate() {
                 let error = (a - b).abs() / (1.0 + b.abs());
@@ -113,7 +113,7 @@ fn lists_are_sorted_and_hold_every_tile_that_the_cpus_do() {
         let tiles = columns * camera.height.div_ceil(TILE as usize);
         let ranges: Vec<[u32; 2]> = fetch(model, "ranges", tiles);
 
-        // Every slot once, those of a splat together.
+        // Every slot occurs once, and a splat's slots are contiguous.
         let mut seen = vec![false; entries];
         for &slot in &slots {
             assert!(!std::mem::replace(&mut seen[slot as usize], true));
@@ -123,7 +123,7 @@ fn lists_are_sorted_and_hold_every_tile_that_the_cpus_do() {
                 assert_eq!(slot_splats[slot as usize] as usize, splat);
             }
         }
-        // Ranges are runs of one tile, in the order of depth, then of gaussians.
+        // Ranges are runs of one tile, sorted by depth, then by gaussian.
         let mut pairs = std::collections::BTreeSet::new();
         let mut end_before = 0;
         for (tile, [start, end]) in ranges.into_iter().enumerate() {
@@ -146,7 +146,7 @@ fn lists_are_sorted_and_hold_every_tile_that_the_cpus_do() {
             );
         }
         assert_eq!(end_before as usize, entries);
-        // No tile is left out in which a pixel takes the gaussian, and few are too many.
+        // No tile is missing in which a pixel takes the gaussian, and few are superfluous.
         let [possible, taken] = inspect::tiles(&scene.gaussians, &scene.view, TILE as usize);
         let missing: Vec<_> = taken.difference(&pairs).collect();
         assert!(missing.is_empty(), "{}: {missing:?}", scene.name);
@@ -176,7 +176,7 @@ fn images_are_the_cpus() {
             let alpha = 1.0 - states[i].transmittance;
             let errors = actual.iter().zip(wanted).map(|(a, b)| (a - b).abs());
             let error = errors.fold((alpha - expected.alpha.data()[i]).abs(), f32::max);
-            // A gaussian at the edge of being drawn gives up to 1/255 of its depth and colour.
+            // A gaussian with an alpha of just 1/255 may be drawn on one side only.
             assert!(error <= 0.02, "{}: pixel {i} is off by {error}", scene.name);
             flips += usize::from(error > 1e-4);
         }
@@ -187,7 +187,7 @@ fn images_are_the_cpus() {
 #[test]
 fn cotangents_are_the_cpus() {
     on_all_scenes(|scene, target, model, _| {
-        // Of the device's own image: what differs there is not the loss's fault.
+        // From the device's own image, so that only the loss is compared.
         let (rendered, pixels) = rendered_by(scene, model);
         let mut expected = Cotangents::default();
         let settings = LossSettings::default();
@@ -207,7 +207,7 @@ fn cotangents_are_the_cpus() {
     });
 }
 
-/// The image that the device has rendered.
+/// The images that the device has rendered, and their number of pixels.
 fn rendered_by(scene: &Scene, model: &GpuModel) -> (crate::Rendered, usize) {
     let (width, height) = (scene.view.camera.width, scene.view.camera.height);
     let pixels = width * height;
@@ -229,7 +229,7 @@ fn every_gradient_is_the_cpus() {
     on_all_scenes(|scene, _, model, counts| {
         let visible = counts[Count::VISIBLE as usize] as usize;
         let pixels = scene.view.camera.width * scene.view.camera.height;
-        // From the device's own cotangents.
+        // From the device's own cotangents, so that only the backward pass is compared.
         let by_pixel: Vec<[f32; 4]> = fetch(model, "cotangents", pixels);
         let d_alpha: Vec<f32> = fetch(model, "d_alpha", pixels);
         let mut cotangents = Cotangents::zeros(&scene.view.camera);
@@ -301,7 +301,7 @@ fn every_gradient_is_the_cpus() {
     });
 }
 
-/// The workgroup adds up what a large gaussian left in its tiles: in their order, to the last bit.
+/// Whether one thread or the workgroup adds up a splat's slots: in slot order, to the last bit.
 #[test]
 fn sums_of_few_slots_and_of_many_are_added_in_their_order() {
     let mut rng = rng(55);
