@@ -1,5 +1,6 @@
 // SSIM and its derivatives with respect to the windowed moments; counterpart of `losses/ssim.rs`,
-// which has the formula. d = render - target, s = render + target; both are zero outside the image.
+// which has the formula. d = render - target, s = render + target. Both are zero outside the image,
+// and d at pixels that are not compared.
 
 var<workgroup> images: array<vec2<f32>, PADDED * PADDED>;
 // Blurred along the rows: d, s, d^2, s^2.

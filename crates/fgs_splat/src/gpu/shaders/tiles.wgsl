@@ -71,7 +71,7 @@ fn write_touches(
         return;
     }
     // `project` counted with the same functions, but they may round differently in its pipeline:
-    // write no more touches than were counted, and give those missing a key beyond all tiles.
+    // write no more touches than were counted, and pad missing ones with a key beyond all tiles.
     let end = first + number;
     var slot = first;
     let splat = splats[index];
