@@ -10,6 +10,7 @@ mod config;
 mod event;
 mod frame_result;
 pub mod frequency;
+mod inferred_depth;
 mod keyframes;
 mod map_alignment;
 mod mapper;

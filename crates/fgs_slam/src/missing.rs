@@ -1,8 +1,8 @@
 //! The missing region: the pixels where the map does not show what the camera sees
 //! (paper, Sec. III-A, Eq. 9).
 //!
-//! Input: a rendered view and the frame taken there. Output: M_m = M_i | M_d | M_c. A pixel without
-//! measured depth is never missing, since nothing can be seeded there.
+//! Input: a rendered view and the frame taken there. Output: M_m = M_i | M_d | M_c. Where no depth
+//! was measured only M_i can tell: what is seeded there has an inferred depth, and fills holes.
 //!
 //! Differs from the paper: by default only M_i is used. The optimisation repairs what the other two
 //! find, and the opaque seeds they would plant there cover what it has already learnt.
@@ -34,8 +34,10 @@ pub fn missing_region(
     }
     // M_i alone needs one bit a pixel of the render.
     let mut missing = model.see_through(view, config.min_alpha)?;
-    for (missing, depth_m) in missing.data_mut().iter_mut().zip(frame.depth_m.data()) {
-        *missing &= has_depth(*depth_m);
+    if !config.fill_holes {
+        for (missing, depth_m) in missing.data_mut().iter_mut().zip(frame.depth_m.data()) {
+            *missing &= has_depth(*depth_m);
+        }
     }
     Ok(missing)
 }
@@ -48,10 +50,10 @@ fn all_masks(rendered: &Rendered, frame: &RgbdFrame, config: &SeedingConfig) -> 
     };
     Image::from_fn(frame.depth_m.width(), frame.depth_m.height(), |u, v| {
         let measured_m = frame.depth_m.at(u, v);
-        if !has_depth(measured_m) {
-            return false;
-        }
         let opaque = rendered.alpha.at(u, v) >= config.min_alpha;
+        if !has_depth(measured_m) {
+            return config.fill_holes && !opaque;
+        }
         // M_i
         !opaque
             // M_d: something new stands in front of what the map shows. Where alpha is too low to
@@ -166,14 +168,28 @@ mod tests {
     }
 
     #[test]
-    fn nothing_is_missing_without_measured_depth() {
+    fn holes_are_missing_only_if_they_are_to_be_filled() {
         let (mut rendered, mut frame) = agreeing();
         rendered.alpha = Image::filled(W, H, 0.0);
         rendered.depth_m = Image::filled(W, H, 0.0);
         frame.depth_m.set(0, 0, 0.0);
         frame.depth_m.set(1, 0, f32::NAN);
-        let mask = all_masks(&rendered, &frame, &with_all_masks());
+        let mut config = with_all_masks();
+        let mask = all_masks(&rendered, &frame, &config);
+        assert!(mask.data().iter().all(|missing| *missing));
+        config.fill_holes = false;
+        let mask = all_masks(&rendered, &frame, &config);
         assert_eq!(mask.data().iter().filter(|m| **m).count(), W * H - 2);
         assert!(!mask.at(0, 0) && !mask.at(1, 0));
+    }
+
+    #[test]
+    fn only_opacity_tells_whether_a_hole_is_filled() {
+        let (mut rendered, mut frame) = agreeing();
+        frame.depth_m.set(2, 1, 0.0);
+        frame.depth_m.set(3, 1, 0.0);
+        frame.color.set(2, 1, [255, 255, 255]);
+        rendered.alpha.set(3, 1, 0.5);
+        assert_eq!(missing(&rendered, &frame, &with_all_masks()), [W + 3]);
     }
 }

@@ -1,7 +1,9 @@
 //! New gaussians from a frame (paper, Sec. III-A, Eq. 10 and 11): small dense disks where the image
 //! has detail, large sparse ones elsewhere, and only in the missing region.
 //!
-//! Differs from the paper: a disk lies on the surface where the depth gives a reliable normal, and
+//! Where no depth was measured it is inferred from around the hole ([`infer_depth`]).
+//!
+//! Differs from the paper: the paper leaves holes empty; a disk lies on the surface where the depth gives a reliable normal, and
 //! is stretched along its tilt so that its image stays round; the paper's faces the camera. Disks
 //! are a fifth smaller than the paper's, which blur what they cover.
 
@@ -11,6 +13,7 @@ use fgs_splat::{Gaussians, SH0_FACTOR, Seeds, SparseId};
 use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
 
 use crate::config::SeedingConfig;
+use crate::inferred_depth::infer_depth;
 use crate::keyframes::NewPoint;
 
 /// Opacity of a new gaussian: the largest the rasteriser keeps, since a measured surface is opaque.
@@ -59,16 +62,17 @@ impl<'a> Seeder<'a> {
         for point in new_points {
             sparse.set(point.u, point.v, Some(point.id));
         }
+        let depth_m = infer_depth(&self.frame.depth_m);
         let mut seeds = Seeds::default();
         for v in 0..height {
             for u in 0..width {
                 let sparse_id = sparse.at(u, v);
                 let dense = missing.at(u, v) && self.is_on_grid(u, v);
                 if (dense || sparse_id.is_some())
-                    && has_depth(self.frame.depth_m.at(u, v))
+                    && has_depth(depth_m.at(u, v))
                     && self.frame.has_color(u, v)
                 {
-                    self.plant(u, v, &mut seeds.gaussians);
+                    self.plant(u, v, depth_m.at(u, v), &mut seeds.gaussians);
                     seeds.sparse_ids.push(sparse_id);
                 }
             }
@@ -86,8 +90,8 @@ impl<'a> Seeder<'a> {
         u % stride == stride / 2 && v % stride == stride / 2
     }
 
-    fn plant(&self, u: usize, v: usize, gaussians: &mut Gaussians) {
-        let depth_m = f64::from(self.frame.depth_m.at(u, v));
+    fn plant(&self, u: usize, v: usize, depth_m: f32, gaussians: &mut Gaussians) {
+        let depth_m = f64::from(depth_m);
         let camera = &self.frame.camera;
         let point = camera.unproject(u as f64, v as f64, depth_m);
         let ray = point.normalize();
@@ -263,29 +267,27 @@ mod tests {
     }
 
     #[test]
-    fn pixels_without_depth_are_left_out() {
+    fn pixels_without_depth_are_seeded_at_the_depth_around_them() {
         let mut frame = wall(Vector3::new(0.0, 0.0, -1.0));
         frame.depth_m.set(1, 1, 0.0);
         frame.depth_m.set(3, 1, f32::NAN);
         let detail = Image::filled(W, H, true);
         let missing = Image::filled(W, H, true);
         let config = SeedingConfig::default();
-        let seeder = Seeder::new(&frame, pose(), &detail, &config, surface(&frame));
-        let point = NewPoint {
-            u: 1,
-            v: 1,
-            id: SparseId(0),
+        let seeds = |frame: &RgbdFrame| {
+            Seeder::new(frame, pose(), &detail, &config, surface(frame)).seeds(&missing, &[])
         };
-        let seeds = seeder.seeds(&missing, &[point]);
-        assert_eq!(seeds.gaussians.len(), W / 2 * H / 2 - 2);
-        assert!(
-            seeds
-                .gaussians
-                .means
-                .iter()
-                .flatten()
-                .all(|x| x.is_finite())
-        );
+        let gaussians = seeds(&frame).gaussians;
+        assert_eq!(gaussians.len(), W / 2 * H / 2);
+        // The wall is at 2 m all around.
+        for (i, u) in [(0, 1), (1, 3)] {
+            let expected = pose().transform(&frame.camera.unproject(f64::from(u), 1.0, 2.0));
+            let mean = gaussians.means[i].map(f64::from);
+            assert!((Vector3::from(mean) - expected).amax() <= 1e-5);
+        }
+        // With nothing measured at all there is nothing to infer from.
+        frame.depth_m = Image::filled(W, H, 0.0);
+        assert_eq!(seeds(&frame).gaussians.len(), 0);
     }
 
     #[test]

@@ -228,8 +228,10 @@ impl CpuModel {
 fn survives(gaussians: &Gaussians, i: usize, rule: &PruneRule) -> bool {
     let mut scales = gaussians.scales(i);
     scales.sort_by(f32::total_cmp);
-    let [_, middle, longest] = scales;
-    gaussians.opacity(i) >= rule.min_opacity
+    let [shortest, middle, longest] = scales;
+    // A NaN sorts first or last, by its sign.
+    !shortest.is_nan()
+        && gaussians.opacity(i) >= rule.min_opacity
         && longest <= rule.max_scale_m
         && longest <= rule.max_aspect * middle
 }

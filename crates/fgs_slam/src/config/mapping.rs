@@ -22,6 +22,9 @@ pub struct SeedingConfig {
     pub depth_mask: bool,
     /// Also where its colour is far from the image's (M_c).
     pub color_mask: bool,
+    /// Whether gaussians are also seeded where no depth was measured, at a depth inferred from
+    /// around the hole.
+    pub fill_holes: bool,
 }
 
 /// Optimisation (paper, Sec. III-D).
@@ -53,6 +56,7 @@ impl Default for SeedingConfig {
             min_alpha: 0.98,
             depth_mask: false,
             color_mask: false,
+            fill_holes: true,
         }
     }
 }

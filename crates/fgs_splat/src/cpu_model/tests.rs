@@ -125,7 +125,9 @@ fn pruning_removes_the_faint_the_long_and_the_narrow_and_nothing_else() {
     seeds.gaussians.log_scales[20] = [0.3f32.ln(), 0.2f32.ln(), -9.0];
     seeds.gaussians.log_scales[31] = [0.1f32.ln(), 0.009f32.ln(), -9.0];
     seeds.gaussians.means[40] = [f32::NAN; 3];
+    // Of either sign.
     seeds.gaussians.log_scales[40][0] = f32::NAN;
+    seeds.gaussians.log_scales[45][1] = -f32::NAN;
     model.insert(&seeds, KEYFRAME).unwrap();
     let [ahead, aside, fresh] = [0, 1, 2].map(KeyframeId);
     model.add_view(ahead, view(0.0), target()).unwrap();
@@ -137,9 +139,9 @@ fn pruning_removes_the_faint_the_long_and_the_narrow_and_nothing_else() {
     };
     let count = seeds.gaussians.len();
     model.prune(&rule).unwrap();
-    assert_eq!(model.len(), count - 4);
+    assert_eq!(model.len(), count - 5);
     let kept: Vec<[f32; 3]> = (0..count)
-        .filter(|i| ![10, 20, 31, 40].contains(i))
+        .filter(|i| ![10, 20, 31, 40, 45].contains(i))
         .map(|i| seeds.gaussians.means[i])
         .collect();
     assert_eq!(model.gaussians().unwrap().means, kept);
@@ -147,7 +149,7 @@ fn pruning_removes_the_faint_the_long_and_the_narrow_and_nothing_else() {
     assert_eq!(removed, [10, 20, 40].map(SparseId));
     assert_eq!(model.take_removed().unwrap(), []);
     model.prune(&rule).unwrap();
-    assert_eq!(model.len(), count - 4);
+    assert_eq!(model.len(), count - 5);
     // Visibility sets have been compacted along with the gaussians.
     let before = model.covisibility(ahead).unwrap();
     model.drop_view(aside).unwrap();
