@@ -118,7 +118,7 @@ pub fn psnr_of_map_db(output: &SlamOutput, sequence: &Sequence, index: usize) ->
     psnr_db(&render, &sequence.frame(index).color)
 }
 
-fn psnr_db(render: &Image<[f32; 3]>, seen: &Image<[u8; 3]>) -> f64 {
+pub fn psnr_db(render: &Image<[f32; 3]>, seen: &Image<[u8; 3]>) -> f64 {
     let pairs = render
         .data()
         .as_flattened()
