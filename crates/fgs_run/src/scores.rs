@@ -6,6 +6,7 @@
 use std::fmt;
 
 use fgs_eval::{Ate, DepthError, ImageQuality, Rpe};
+use fgs_slam::Holdout;
 use serde::de::{IgnoredAny, MapAccess, Visitor};
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
@@ -32,8 +33,12 @@ pub enum Source {
     /// Each frame, compared with the map rendered at its estimated pose. A run's score is the mean
     /// over the frames that have one.
     Frame(fn(&FrameErrors) -> Option<f64>),
-    /// The mean of another, per-frame score over those frames that never became keyframes.
+    /// The mean of another, per-frame score over those frames that happened not to become keyframes.
     HeldOut(&'static str),
+    /// The mean of another, per-frame score over the test views: the frames that were kept out of the
+    /// map on purpose ([`RunOptions::eval_holdout`](crate::RunOptions::eval_holdout)). Left out of
+    /// `metrics.json` where it is not known.
+    TestViews(&'static str),
 }
 
 /// How a score is printed: `scale * value` with so many decimals, then the unit.
@@ -119,7 +124,7 @@ pub const SCORES: &[Score] = &[
     },
     Score {
         name: "psnr_heldout_db",
-        meaning: "psnr_valid_depth_db over the frames that never became keyframes",
+        meaning: "psnr_valid_depth_db over the frames that happened not to become keyframes",
         source: Source::HeldOut("psnr_valid_depth_db"),
         shown: shown("PSNR", 1.0, 2, " dB held out"),
     },
@@ -134,6 +139,42 @@ pub const SCORES: &[Score] = &[
         meaning: "mean absolute error of rendered depth",
         source: Source::Frame(|errors| Some(errors.depth?.l1_m)),
         shown: shown("depth L1", 100.0, 2, " cm"),
+    },
+    Score {
+        name: "test_psnr_valid_depth_db",
+        meaning: "psnr_valid_depth_db over the test views, which --eval-holdout kept out of the map",
+        source: Source::TestViews("psnr_valid_depth_db"),
+        shown: shown("test views", 1.0, 2, " dB where depth is measured"),
+    },
+    Score {
+        name: "test_psnr_db",
+        meaning: "psnr_db over the test views",
+        source: Source::TestViews("psnr_db"),
+        shown: shown("test views", 1.0, 2, " dB everywhere"),
+    },
+    Score {
+        name: "test_psnr_exposure_valid_depth_db",
+        meaning: "psnr_exposure_valid_depth_db over the test views",
+        source: Source::TestViews("psnr_exposure_valid_depth_db"),
+        shown: shown("test views", 1.0, 2, " dB with exposure"),
+    },
+    Score {
+        name: "test_psnr_exposure_db",
+        meaning: "psnr_exposure_db over the test views",
+        source: Source::TestViews("psnr_exposure_db"),
+        shown: None,
+    },
+    Score {
+        name: "test_ssim",
+        meaning: "ssim over the test views",
+        source: Source::TestViews("ssim"),
+        shown: shown("test views", 1.0, 4, " SSIM"),
+    },
+    Score {
+        name: "test_depth_l1_m",
+        meaning: "depth_l1_m over the test views",
+        source: Source::TestViews("depth_l1_m"),
+        shown: shown("test views", 100.0, 2, " cm depth L1"),
     },
 ];
 
@@ -185,17 +226,43 @@ impl Scores {
         });
     }
 
-    /// Takes over the means of the frames' scores.
-    pub fn set_means(&mut self, rows: &[FrameRow]) {
-        let of = |name, counts: fn(&FrameRow) -> bool| {
-            let counted = rows.iter().filter(|row| counts(row));
-            mean(counted.filter_map(|row| row.scores.get(name)))
+    /// Takes over the means of the frames' scores. `rows` are of a run's successive frames, from its
+    /// first.
+    pub fn set_means(&mut self, rows: &[FrameRow], holdout: Option<Holdout>) {
+        let of = |name, counts: &dyn Fn(usize, &FrameRow) -> bool| {
+            let counted = rows.iter().enumerate();
+            let counted = counted.filter(|(place, row)| counts(*place, row));
+            mean(counted.filter_map(|(_, row)| row.scores.get(name)))
         };
+        let is_test_view = |place| holdout.is_some_and(|holdout| holdout.contains(place));
         self.update(|score| match score.source {
             Source::Trajectory(_) => None,
-            Source::Frame(_) => Some(of(score.name, |_| true)),
-            Source::HeldOut(name) => Some(of(name, |row| row.keyframe.is_none())),
+            Source::Frame(_) => Some(of(score.name, &|_, _| true)),
+            Source::HeldOut(name) => Some(of(name, &|_, row| row.keyframe.is_none())),
+            Source::TestViews(name) => Some(of(name, &|place, _| is_test_view(place))),
         });
+    }
+
+    /// The scores that are shown and known: the name of each line of the table, and its text.
+    pub(crate) fn shown(&self) -> Vec<(&'static str, String)> {
+        let mut lines: Vec<(&str, String)> = Vec::new();
+        for (score, value) in self.iter() {
+            let (Some(shown), Some(value)) = (&score.shown, value) else {
+                continue;
+            };
+            let text = format!("{:.*}{}", shown.decimals, shown.scale * value, shown.unit);
+            match lines.last_mut() {
+                Some((line, texts)) if *line == shown.line => *texts += &format!(", {text}"),
+                _ => lines.push((shown.line, text)),
+            }
+        }
+        lines
+    }
+
+    /// Serialises the scores that are known.
+    pub(crate) fn serialize_known<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        let known = self.iter().filter(|(_, value)| value.is_some());
+        serializer.collect_map(known.map(|(score, value)| (score.name, value)))
     }
 
     fn update(&mut self, value: impl Fn(&Score) -> Option<Option<f64>>) {
@@ -213,7 +280,10 @@ pub(crate) fn mean(values: impl Iterator<Item = f64>) -> Option<f64> {
 
 impl Serialize for Scores {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-        serializer.collect_map(self.iter().map(|(score, value)| (score.name, value)))
+        let written = self.iter().filter(|(score, value)| {
+            value.is_some() || !matches!(score.source, Source::TestViews(_))
+        });
+        serializer.collect_map(written.map(|(score, value)| (score.name, value)))
     }
 }
 
@@ -278,7 +348,8 @@ mod tests {
             row(Some(30.0), Some(KeyframeKind::Mapping)),
         ];
         let mut scores = Scores::default();
-        scores.set_means(&rows);
+        scores.set_means(&rows, Some(Holdout::every(3).unwrap()));
+        assert_eq!(scores.get("test_psnr_db"), Some(31.0));
         assert_eq!(scores.get("psnr_valid_depth_db"), Some(25.0));
         assert_eq!(scores.get("psnr_db"), Some(26.0));
         assert_eq!(scores.get("psnr_heldout_db"), Some(20.0));
@@ -292,7 +363,7 @@ mod tests {
         for (place, score) in SCORES.iter().enumerate() {
             let first = SCORES.iter().position(|other| other.name == score.name);
             assert_eq!(first, Some(place), "{}", score.name);
-            if let Source::HeldOut(of) = score.source {
+            if let Source::HeldOut(of) | Source::TestViews(of) = score.source {
                 let of = SCORES.iter().find(|other| other.name == of).unwrap();
                 assert!(matches!(of.source, Source::Frame(_)), "{}", of.name);
             }
