@@ -96,7 +96,12 @@ impl RunObserver for Progress {
             RunEvent::Scored { done, total } => {
                 self.advance("evaluation", *done, *total);
             }
-            RunEvent::Refined { done, total } => self.advance("refinement", *done, *total),
+            RunEvent::Refined { done, total } => {
+                if *done == 1 {
+                    self.console.event("refinement", json!({ "steps": total }));
+                }
+                self.advance("refinement", *done, *total);
+            }
             _ => {}
         }
     }
