@@ -181,10 +181,11 @@ fn report(plan: &Plan, result: &RunResult, console: Console) -> anyhow::Result<(
     console.say(result.metrics.table());
     console.say(format!("  results    {folder}"));
     if let Some(failure) = &result.metrics.failure {
-        let frame = result.rows.last().map_or(0, |row| row.index);
-        bail!(
-            "the run ended early, at frame {frame}: {failure}; the results so far are in {folder}"
-        );
+        let place = match &result.metrics.refined {
+            Some(refined) => format!("after {} steps of refinement", refined.steps),
+            None => format!("at frame {}", result.rows.last().map_or(0, |row| row.index)),
+        };
+        bail!("the run ended early, {place}: {failure}; the results so far are in {folder}");
     }
     Ok(())
 }

@@ -18,7 +18,7 @@ use crate::observer::{RunEvent, RunObserver};
 use crate::peak_memory::peak_rss_bytes;
 use crate::plan::Plan;
 use crate::run_result::RunResult;
-use crate::scores::{Scores, mean};
+use crate::score_values::{Scores, mean};
 use crate::settings::COMMIT;
 
 /// Tracks and maps every frame of the plan and refines the map; nothing is scored or saved.

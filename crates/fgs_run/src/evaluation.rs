@@ -16,7 +16,8 @@ use crate::error::RunError;
 use crate::frame_log::FrameRow;
 use crate::observer::{RunEvent, RunObserver};
 use crate::run_result::RunResult;
-use crate::scores::{FrameErrors, Scores, TrajectoryErrors};
+use crate::score_values::Scores;
+use crate::scores::{FrameErrors, TrajectoryErrors};
 
 /// So many frames are in memory and scored side by side: enough for the cores of a desktop.
 const FRAMES_AT_ONCE: usize = 16;

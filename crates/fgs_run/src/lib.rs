@@ -45,6 +45,7 @@ mod recording;
 mod rescore;
 mod run_folder;
 mod run_result;
+mod score_values;
 mod scores;
 mod settings;
 
@@ -61,5 +62,6 @@ pub use recording::{open_recording, recording_name};
 pub use rescore::FinishedRun;
 pub use run_folder::{CONFIG, FRAMES, MAP, METRICS, PICTURES, REFINED_MAP, RunFolder, TRAJECTORY};
 pub use run_result::RunResult;
-pub use scores::{FrameErrors, SCORES, Score, Scores, Shown, Source, TrajectoryErrors};
+pub use score_values::Scores;
+pub use scores::{FrameErrors, SCORES, Score, Shown, Source, TrajectoryErrors};
 pub use settings::{COMMIT, RunSettings, Settings};

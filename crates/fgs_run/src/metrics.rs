@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::error::RunError;
 use crate::run_folder::{METRICS, RunFolder};
-use crate::scores::Scores;
+use crate::score_values::Scores;
 
 /// A run in numbers. What was not computed is `null`, as is an infinite signal-to-noise ratio.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -46,7 +46,7 @@ pub struct Metrics {
     pub num_gaussians: usize,
     /// Size of the map's file; 0 if it could not be written.
     pub map_bytes: u64,
-    /// Peak resident memory of the process when tracking and mapping ended.
+    /// Peak resident memory of the process when tracking, mapping and refinement ended.
     pub peak_rss_bytes: Option<u64>,
     /// Memory that the map takes on the graphics device at the end.
     pub device_bytes: u64,
@@ -65,8 +65,8 @@ pub struct Metrics {
     /// Of every so many frames, the last was kept out of the map; left out if none was.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub eval_holdout: Option<Holdout>,
-    /// The map after refinement; left out if there was none. Everything else is about the run up to
-    /// the end of the recording.
+    /// The map after refinement; left out if there was none. All else but the peak of memory is about
+    /// the run up to the end of the recording.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub refined: Option<RefinedMetrics>,
 }

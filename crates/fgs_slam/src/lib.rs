@@ -2,7 +2,8 @@
 //! a Fourier segmentation of the image.
 //!
 //! A [`Slam`] session takes frames one by one. [`drive`] feeds it a recording, [`replay`] does so at
-//! the recording's own pace, [`live`] feeds it a camera. A [`Mapper`] alone, with a
+//! the recording's own pace, [`live`] feeds it a camera. [`Slam::finish_refined`] optimises the map
+//! further when the frames have ended. A [`Mapper`] alone, with a
 //! [`KeyframePreparer`], builds a map from poses that are known.
 
 mod color_aligner;
