@@ -7,14 +7,16 @@ use serde_json::json;
 
 use crate::console::{Console, Warnings};
 
-/// What the bar counts at first.
+/// What the bar counts, in turn.
 const FRAMES: &str = "frames";
+const REFINEMENT: &str = "refinement";
+const EVALUATION: &str = "evaluation";
 
 /// Sees every event of a run.
 pub struct Progress {
     console: Console,
     bar: ProgressBar,
-    /// What the bar counts.
+    /// What the bar counts now.
     phase: &'static str,
     damaged: Warnings,
     keyframes: usize,
@@ -93,15 +95,13 @@ impl RunObserver for Progress {
                 self.frame(row, *error, *num_gaussians, *steps);
                 self.bar.inc(1);
             }
-            RunEvent::Scored { done, total } => {
-                self.advance("evaluation", *done, *total);
-            }
             RunEvent::Refined { done, total } => {
-                if *done == 1 {
-                    self.console.event("refinement", json!({ "steps": total }));
+                if self.phase != REFINEMENT {
+                    self.console.event(REFINEMENT, json!({ "steps": total }));
                 }
-                self.advance("refinement", *done, *total);
+                self.advance(REFINEMENT, *done, *total);
             }
+            RunEvent::Scored { done, total } => self.advance(EVALUATION, *done, *total),
             _ => {}
         }
     }

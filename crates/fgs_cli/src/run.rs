@@ -85,7 +85,7 @@ pub struct RunArgs {
     /// Render and score every frame at the end (PSNR, SSIM, depth)
     #[arg(long)]
     eval: bool,
-    /// Track the last of every N frames but keep it out of the map; its scores are reported beside the
+    /// Track the last of every N frames but keep it out of the map; --eval scores these frames beside the
     /// others, as test views
     #[arg(long, value_name = "N")]
     eval_holdout: Option<Holdout>,

@@ -45,7 +45,7 @@ impl Scores {
     }
 
     /// Takes over the means of the frames' scores. `rows` are of a run's successive frames, from its
-    /// first.
+    /// first; `holdout` says which of them are test views.
     pub fn set_means(&mut self, rows: &[FrameRow], holdout: Option<Holdout>) {
         let of = |name, counts: &dyn Fn(usize, &FrameRow) -> bool| {
             let counted = rows.iter().enumerate();
