@@ -248,7 +248,7 @@ mod tests {
             ("[run]\nbackend = 'abacus'", ":2: unknown variant `abacus`"),
             (
                 "[run]\neval_holdout = 1",
-                ":2: to hold out one frame in 1 is not",
+                ":2: one frame in 1 cannot be held out",
             ),
             ("[run]\nframes = '7'", ":2: '7' is not a range"),
         ] {

@@ -19,7 +19,7 @@ pub struct Holdout(usize);
 #[non_exhaustive]
 pub enum HoldoutError {
     /// Nothing would be left for the map.
-    #[error("to hold out one frame in {0} is not possible: 2 or more")]
+    #[error("one frame in {0} cannot be held out, only one in 2 or more")]
     TooFew(usize),
     /// The text is no number.
     #[error(transparent)]
