@@ -14,8 +14,8 @@ use crate::threads::Threads;
 
 /// Score the results of a finished run
 ///
-/// Renders the map at the pose of every tracked frame, compares it with the recording, and writes
-/// the scores into the run's metrics.json and frames.csv.
+/// Renders the map, and the refined one if there is one, at the pose of every tracked frame, compares
+/// them with the recording, and writes the scores into the run's metrics.json and frames.csv.
 #[derive(Debug, Args)]
 #[command(after_long_help = after_help())]
 pub struct EvalArgs {

@@ -7,11 +7,17 @@ use serde_json::json;
 
 use crate::console::{Console, Warnings};
 
+/// What the bar counts, in turn.
+const FRAMES: &str = "frames";
+const REFINEMENT: &str = "refinement";
+const EVALUATION: &str = "evaluation";
+
 /// Sees every event of a run.
 pub struct Progress {
     console: Console,
     bar: ProgressBar,
-    is_scoring: bool,
+    /// What the bar counts now.
+    phase: &'static str,
     damaged: Warnings,
     keyframes: usize,
 }
@@ -21,8 +27,8 @@ impl Progress {
     pub fn new(frames: usize, console: Console) -> Self {
         Self {
             console,
-            bar: console.progress(frames, "frames"),
-            is_scoring: false,
+            bar: console.progress(frames, FRAMES),
+            phase: FRAMES,
             damaged: Warnings::default(),
             keyframes: 0,
         }
@@ -60,12 +66,14 @@ impl Progress {
         }
     }
 
-    fn show_scoring(&mut self, total: usize) {
-        if !self.is_scoring {
-            self.is_scoring = true;
+    /// Moves the bar of a phase, in place of the last one's.
+    fn advance(&mut self, phase: &'static str, done: usize, total: usize) {
+        if self.phase != phase {
+            self.phase = phase;
             self.bar.finish_and_clear();
-            self.bar = self.console.progress(total, "evaluation");
+            self.bar = self.console.progress(total, phase);
         }
+        self.bar.set_position(done as u64);
     }
 }
 
@@ -87,10 +95,13 @@ impl RunObserver for Progress {
                 self.frame(row, *error, *num_gaussians, *steps);
                 self.bar.inc(1);
             }
-            RunEvent::Scored { done, total } => {
-                self.show_scoring(*total);
-                self.bar.set_position(*done as u64);
+            RunEvent::Refined { done, total } => {
+                if self.phase != REFINEMENT {
+                    self.console.event(REFINEMENT, json!({ "steps": total }));
+                }
+                self.advance(REFINEMENT, *done, *total);
             }
+            RunEvent::Scored { done, total } => self.advance(EVALUATION, *done, *total),
             _ => {}
         }
     }

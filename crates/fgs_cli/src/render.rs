@@ -31,6 +31,7 @@ const DEFAULT_SIZE: ImageSize = ImageSize {
 Examples:
   fgs render runs/desk                                       pictures in runs/desk/views
   fgs render runs/desk --fly-through --views 300 --size 1280x720 --fov 70
+  fgs render runs/desk/refined.ply                           the map after --refine
   fgs render map.ply --trajectory poses.txt --out pictures
 
 A film of it:  ffmpeg -framerate 30 -i runs/desk/fly-through/%06d.png film.mp4")]

@@ -6,7 +6,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use anyhow::bail;
 use clap::Args;
 use fgs_run::{Backend, FrameRange, Model, Plan, RunOptions, RunResult};
-use fgs_slam::Execution;
+use fgs_slam::{Execution, Holdout};
 use serde_json::json;
 
 use crate::console::Console;
@@ -25,6 +25,8 @@ Examples:
   fgs run rgbd_dataset_freiburg1_desk --config configs/tum-fr1.toml --eval
   fgs run recordings/desk --frames 0..200 --mode lockstep --out out/desk
   fgs run recordings/desk --set mapping.iterations_per_frame=10 --set seed=2
+  fgs run recordings/desk --refine 2000 --eval        a second, finer map: refined.ply
+  fgs run recordings/desk --eval-holdout 8 --eval     scored by views the map has never seen
   fgs run recordings/desk --config runs/desk/config.effective.toml   repeats a run
 
 The recording is a folder in the layout of TUM RGB-D (rgb.txt, depth.txt), Replica (results/),
@@ -45,7 +47,8 @@ results lists them all. The camera comes from --camera, else from the recording,
 
 Results: metrics.json, trajectory.txt (TUM: timestamp tx ty tz qx qy qz qw; without lost frames),
 frames.csv, map.ply, config.effective.toml, pictures/. Results already in --out are replaced when the
-run has ended.
+run has ended. map.ply is the map at the last frame; --refine leaves it as it is and adds refined.ply,
+with scores of its own (`refined` in metrics.json).
 
 Exit code: 0 done, 1 failed, 2 usage error, 130 stopped by Ctrl-C (the results so far are saved; a
 second Ctrl-C skips that). If a graphics device fails, the results so far are saved too.")]
@@ -75,9 +78,17 @@ pub struct RunArgs {
     frames: Option<FrameRange>,
     #[command(flatten)]
     threads: Threads,
+    /// After the last frame, optimise the map by N more steps with all keyframes alike; the result is
+    /// saved and scored beside the map as it was
+    #[arg(long, value_name = "N")]
+    refine: Option<usize>,
     /// Render and score every frame at the end (PSNR, SSIM, depth)
     #[arg(long)]
     eval: bool,
+    /// Track the last of every N frames but keep it out of the map; --eval scores these frames beside the
+    /// others, as test views
+    #[arg(long, value_name = "N")]
+    eval_holdout: Option<Holdout>,
     /// Write JSON to stdout, one event per line; the last one holds the metrics
     #[arg(long)]
     json: bool,
@@ -96,6 +107,8 @@ pub fn run(args: &RunArgs) -> anyhow::Result<u8> {
         execution: args.mode,
         backend: args.backend,
         frames: args.frames,
+        refine: args.refine,
+        eval_holdout: args.eval_holdout,
         out: args.out.clone(),
         evaluate: args.eval,
         pipeline_cache: pipeline_cache::folder(),
@@ -168,10 +181,11 @@ fn report(plan: &Plan, result: &RunResult, console: Console) -> anyhow::Result<(
     console.say(result.metrics.table());
     console.say(format!("  results    {folder}"));
     if let Some(failure) = &result.metrics.failure {
-        let frame = result.rows.last().map_or(0, |row| row.index);
-        bail!(
-            "the run ended early, at frame {frame}: {failure}; the results so far are in {folder}"
-        );
+        let place = match &result.metrics.refined {
+            Some(refined) => format!("after {} steps of refinement", refined.steps),
+            None => format!("at frame {}", result.rows.last().map_or(0, |row| row.index)),
+        };
+        bail!("the run ended early, {place}: {failure}; the results so far are in {folder}");
     }
     Ok(())
 }

@@ -78,6 +78,7 @@ fn bad_settings() {
         "mapping.prune_evry=5",
         "mapping.prune_every=0",
         "run.backend=abacus",
+        "run.eval_holdout=1",
         "seed=x",
         "seed",
     ] {
@@ -105,6 +106,8 @@ fn command_lines_that_make_no_sense() {
         &["run", "room", "--threads", "0"],
         &["run", "room", "--mode", "fast"],
         &["run", "room", "--backend", "abacus"],
+        &["run", "room", "--refine", "-1"],
+        &["run", "room", "--eval-holdout", "1"],
         &["demo", "--backend", "abacus"],
         &["run"],
         &["walk"],

@@ -423,27 +423,112 @@ fn a_run_that_never_sees_anything_ends_well() {
     assert_eq!(metrics["ate_rmse_m"], Value::Null);
 }
 
-#[cfg(unix)]
+/// With refinement and test views: both maps repeat, and both are scored again.
 #[test]
-fn interrupted_runs_are_saved() {
+fn refined_runs_repeat_and_can_be_scored() {
+    let folder = folder_with_recording();
+    let path = folder.path();
+    run(
+        path,
+        &["run", "room", "--backend", "cpu", "--out", "plain"],
+        0,
+    );
+    let more = ["--refine", "30", "--eval-holdout", "4", "--backend", "cpu"];
+    let run_on = |threads: &str, rest: &[&str]| {
+        let room = ["run", "room", "--threads", threads];
+        run(path, &[&room, more.as_slice(), rest].concat(), 0)
+    };
+    let output = run_on("1", &["--eval"]);
+    let table = stdout(&output);
+    assert!(
+        table.contains("\n  refined    30 more steps in "),
+        "{table}"
+    );
+    for line in ["PSNR      ", "SSIM      ", "test views"] {
+        for indent in ["  ", "    "] {
+            assert!(
+                table.contains(&format!("\n{indent}{line} ")),
+                "{line}: {table}"
+            );
+        }
+    }
+    run_on("2", &[]);
+    let (first, second) = (path.join("runs/room"), path.join("runs/room-2"));
+    assert_same_bytes(&first, &second);
+    let refined_map = |run: &Path| fs::read(run.join("refined.ply")).unwrap();
+    assert!(refined_map(&first) == refined_map(&second));
+    assert!(refined_map(&first) != fs::read(first.join("map.ply")).unwrap());
+    for (index, row) in rows(&first).iter().enumerate() {
+        assert!(index % 4 != 3 || row["keyframe"].is_empty(), "{row:?}");
+    }
+
+    run(path, &["eval", "runs/room-2"], 0);
+    let (scored, evaluated) = (metrics(&first), metrics(&second));
+    let keys = [
+        "psnr_db",
+        "ssim",
+        "psnr_heldout_db",
+        "test_psnr_db",
+        "test_ssim",
+    ];
+    for key in keys {
+        for of in [
+            |metrics: &Value| metrics.clone(),
+            |metrics: &Value| metrics["refined"].clone(),
+        ] {
+            let (before, again) = (
+                of(&scored)[key].as_f64().unwrap(),
+                of(&evaluated)[key].as_f64().unwrap(),
+            );
+            assert!(
+                (again - before).abs() <= 1e-9 * before,
+                "{key}: {again} {before}"
+            );
+        }
+    }
+    assert_eq!(scored["refined"]["steps"], 30);
+    assert_eq!(scored["eval_holdout"], 4);
+
+    let config = [
+        "--config",
+        "runs/room/config.effective.toml",
+        "--out",
+        "again",
+    ];
+    run(path, &[&["run", "room"], config.as_slice()].concat(), 0);
+    assert!(refined_map(&first) == refined_map(&path.join("again")));
+    run(
+        path,
+        &["render", "runs/room/refined.ply", "--views", "1"],
+        0,
+    );
+
+    // Where neither is asked for, nothing tells of it.
+    let plain = path.join("plain");
+    assert_eq!(names(&plain), FILES);
+    for file in ["metrics.json", "config.effective.toml"] {
+        let text = fs::read_to_string(plain.join(file)).unwrap();
+        for word in ["refine =", "refined", "holdout", "test_"] {
+            assert!(!text.contains(word), "{word} is in\n{text}");
+        }
+    }
+}
+
+/// Runs the room until an event and then presses Ctrl-C.
+#[cfg(unix)]
+fn interrupt(path: &Path, arguments: &[&str], event: &str) {
     use std::io::{BufRead, BufReader};
     use std::process::{Command, Stdio};
 
-    let folder = folder_with_recording();
-    let path = folder.path();
-    let slow = ["--set", "mapping.iterations_per_frame=50", "--eval"];
-    let mut child = fgs(
-        path,
-        &[&["run", "room", "--json"], slow.as_slice()].concat(),
-    )
-    .stdout(Stdio::piped())
-    .stderr(Stdio::null())
-    .spawn()
-    .unwrap();
+    let mut child = fgs(path, &[&["run", "room", "--json"], arguments].concat())
+        .stdout(Stdio::piped())
+        .stderr(Stdio::null())
+        .spawn()
+        .unwrap();
     let mut lines = BufReader::new(child.stdout.take().unwrap())
         .lines()
         .map(Result::unwrap);
-    assert!(lines.any(|line| line.contains(r#""event":"frame""#)));
+    assert!(lines.any(|line| line.contains(event)));
     let pid = child.id().to_string();
     assert!(
         Command::new("kill")
@@ -455,6 +540,15 @@ fn interrupted_runs_are_saved() {
     let last = lines.last().unwrap();
     assert_eq!(child.wait().unwrap().code(), Some(130));
     assert!(last.contains(r#""event":"metrics""#), "{last}");
+}
+
+#[cfg(unix)]
+#[test]
+fn interrupted_runs_are_saved() {
+    let folder = folder_with_recording();
+    let path = folder.path();
+    let slow = ["--set", "mapping.iterations_per_frame=50", "--eval"];
+    interrupt(path, &slow, r#""event":"frame""#);
     let run = path.join("runs/room");
     assert_eq!(names(&run), FILES);
     let metrics = metrics(&run);
@@ -462,4 +556,22 @@ fn interrupted_runs_are_saved() {
     let frames = metrics["frames"].as_u64().unwrap() as usize;
     assert!((1..FRAMES).contains(&frames), "{frames}");
     assert_strict_trajectory(&run, frames);
+}
+
+#[cfg(unix)]
+#[test]
+fn runs_interrupted_while_they_are_refined_are_saved() {
+    let folder = folder_with_recording();
+    let path = folder.path();
+    let endless = ["--refine", "1000000", "--eval"];
+    interrupt(path, &endless, r#""event":"refinement""#);
+    let run = path.join("runs/room");
+    let metrics = metrics(&run);
+    assert_eq!(metrics["interrupted"], true);
+    assert_strict_trajectory(&run, FRAMES);
+    let steps = metrics["refined"]["steps"].as_u64().unwrap();
+    assert!((1..1_000_000).contains(&steps), "{steps}");
+    for map in ["map.ply", "refined.ply"] {
+        assert!(names(&run).contains(&map.into()), "{map}");
+    }
 }

@@ -89,6 +89,6 @@ fn score(dataset: &Dataset, poses: &Trajectory, gaussians: &Gaussians) -> Result
     let never = AtomicBool::new(false);
     score_images(&mut rows, poses, gaussians, dataset, &mut (), &never)?;
     let mut scores = Scores::default();
-    scores.set_means(&rows);
+    scores.set_means(&rows, None);
     Ok(scores)
 }

@@ -13,15 +13,15 @@ use fgs_slam::{
 use crate::backend::Model;
 use crate::error::RunError;
 use crate::frame_log::FrameRow;
-use crate::metrics::Metrics;
+use crate::metrics::{Metrics, RefinedMetrics};
 use crate::observer::{RunEvent, RunObserver};
 use crate::peak_memory::peak_rss_bytes;
 use crate::plan::Plan;
 use crate::run_result::RunResult;
-use crate::scores::{Scores, mean};
+use crate::score_values::{Scores, mean};
 use crate::settings::COMMIT;
 
-/// Tracks and maps every frame of the plan; nothing is scored or saved.
+/// Tracks and maps every frame of the plan and refines the map; nothing is scored or saved.
 ///
 /// # Errors
 /// If it cannot be started, or no frame can be read.
@@ -34,6 +34,9 @@ pub fn drive(
     let (camera, config) = (plan.dataset.camera(), plan.settings.slam());
     let mut slam = Slam::new(camera, &config, plan.execution, model.map)?;
     slam.start_at(FrameIndex(plan.frames.start));
+    if let Some(holdout) = plan.eval_holdout {
+        slam.hold_out(holdout);
+    }
     // Room for every frame: whoever looks on may be slow, but the log of a run is whole.
     let events = slam.subscribe(plan.frames.len() + 1);
     let output = thread::scope(|scope| {
@@ -45,7 +48,7 @@ pub fn drive(
                     fgs_slam::drive(&mut slam, frames, stop);
                 }
             }
-            slam.finish()
+            slam.finish_refined(plan.refine, stop)
         });
         pass_on(&events, observer);
         tracking.join()
@@ -65,25 +68,29 @@ pub fn drive(
         rows,
         trajectory,
         gaussians: output.gaussians,
+        refined: output.refined.map(|refined| refined.gaussians),
     })
 }
 
 /// Tells the observer what happens until the session ends.
 fn pass_on(events: &Subscription, observer: &mut dyn RunObserver) {
     for event in events.events() {
-        if let SlamEvent::Frame {
-            result,
-            error,
-            num_gaussians,
-            steps,
-        } = event
-        {
-            observer.on(&RunEvent::Frame {
+        match event {
+            SlamEvent::Frame {
+                result,
+                error,
+                num_gaussians,
+                steps,
+            } => observer.on(&RunEvent::Frame {
                 row: &row_of(&result),
                 error: error.as_deref(),
                 num_gaussians,
                 steps,
-            });
+            }),
+            SlamEvent::Refined { done, steps: total } => {
+                observer.on(&RunEvent::Refined { done, total });
+            }
+            _ => {}
         }
     }
 }
@@ -143,5 +150,13 @@ fn metrics(
         backend,
         threads: rayon::current_num_threads(),
         dataset: plan.dataset_path.clone(),
+        eval_holdout: plan.eval_holdout,
+        refined: output.refined.as_ref().map(|refined| RefinedMetrics {
+            steps: refined.steps,
+            seconds: refined.duration.as_secs_f64(),
+            scores: Scores::default(),
+            num_gaussians: refined.gaussians.len(),
+            map_bytes: 0,
+        }),
     }
 }

@@ -1,8 +1,9 @@
-//! Scores a finished run (Sec. IV): the trajectory against the ground truth, and the final map,
+//! Scores a finished run (Sec. IV): the trajectory against the ground truth, and the map,
 //! rendered at each tracked frame's estimated pose, against the frame.
 //!
 //! Frames are read again as a stream, a few at a time, so memory does not grow with the recording.
 
+use std::iter;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use fgs_data::{Dataset, Trajectory};
@@ -15,7 +16,8 @@ use crate::error::RunError;
 use crate::frame_log::FrameRow;
 use crate::observer::{RunEvent, RunObserver};
 use crate::run_result::RunResult;
-use crate::scores::{FrameErrors, Scores, TrajectoryErrors};
+use crate::score_values::Scores;
+use crate::scores::{FrameErrors, TrajectoryErrors};
 
 /// So many frames are in memory and scored side by side: enough for the cores of a desktop.
 const FRAMES_AT_ONCE: usize = 16;
@@ -40,8 +42,8 @@ impl RunResult {
         Ok(())
     }
 
-    /// Fills in every tracked frame's scores and their means. `false` if it was stopped; then
-    /// nothing is changed.
+    /// Fills in every tracked frame's scores and their means; of the refined map, if there is one, only
+    /// the means. `false` if it was stopped; then nothing is changed.
     ///
     /// # Errors
     /// If a frame cannot be compared, for example because it is smaller than SSIM's window.
@@ -51,12 +53,23 @@ impl RunResult {
         observer: &mut dyn RunObserver,
         stop: &AtomicBool,
     ) -> Result<bool, RunError> {
-        let (rows, trajectory) = (&mut self.rows, &self.trajectory);
-        let done = score_images(rows, trajectory, &self.gaussians, dataset, observer, stop)?;
-        if done {
-            self.metrics.scores.set_means(&self.rows);
+        let (rows, trajectory, metrics) = (&mut self.rows, &self.trajectory, &mut self.metrics);
+        let maps: Vec<&Gaussians> = iter::once(&self.gaussians).chain(&self.refined).collect();
+        let Some(scores) = score_maps(rows, trajectory, &maps, dataset, observer, stop)? else {
+            return Ok(false);
+        };
+        let mut scores = scores.into_iter();
+        set_scores(rows, scores.next());
+        metrics.scores.set_means(rows, metrics.eval_holdout);
+        if let Some(refined) = &mut metrics.refined {
+            let mut rows = rows.clone();
+            for row in &mut rows {
+                row.scores = Scores::default();
+            }
+            set_scores(&mut rows, scores.next());
+            refined.scores.set_means(&rows, metrics.eval_holdout);
         }
-        Ok(done)
+        Ok(true)
     }
 }
 
@@ -82,14 +95,35 @@ pub fn score_images(
     observer: &mut dyn RunObserver,
     stop: &AtomicBool,
 ) -> Result<bool, RunError> {
-    let (Some(first), Some(last)) = (rows.first(), rows.last()) else {
-        return Ok(true);
+    let maps = [gaussians];
+    let Some(scores) = score_maps(rows, trajectory, &maps, dataset, observer, stop)? else {
+        return Ok(false);
     };
-    let mut frames = dataset.frames(first.index..last.index + 1).zip(rows.iter());
-    let mut scores: Vec<Option<Scores>> = Vec::with_capacity(rows.len());
-    while scores.len() < rows.len() {
+    set_scores(rows, scores.into_iter().next());
+    Ok(true)
+}
+
+/// The scores of each row, `None` where it has none.
+type RowScores = Vec<Option<Scores>>;
+
+/// Does what [`score_images`] describes with several maps, and returns the scores with each of them.
+fn score_maps(
+    rows: &[FrameRow],
+    trajectory: &Trajectory,
+    maps: &[&Gaussians],
+    dataset: &Dataset,
+    observer: &mut dyn RunObserver,
+    stop: &AtomicBool,
+) -> Result<Option<Vec<RowScores>>, RunError> {
+    let mut scores: Vec<RowScores> = vec![Vec::with_capacity(rows.len()); maps.len()];
+    let (Some(first), Some(last)) = (rows.first(), rows.last()) else {
+        return Ok(Some(scores));
+    };
+    let mut frames = dataset.frames(first.index..last.index + 1).zip(rows);
+    let mut done = 0;
+    while done < rows.len() {
         if stop.load(Ordering::Relaxed) {
-            return Ok(false);
+            return Ok(None);
         }
         let batch: Vec<_> = frames.by_ref().take(FRAMES_AT_ONCE).collect();
         if batch.is_empty() {
@@ -99,27 +133,36 @@ pub fn score_images(
             .par_iter()
             .map_init(Rasterizer::default, |rasterizer, (frame, row)| {
                 let pose = row.timestamp_secs.and_then(|secs| trajectory.at(secs));
-                match (frame, pose) {
+                let score = |gaussians: &&Gaussians| match (frame, pose) {
                     (Ok(frame), Some(pose)) => {
                         score_frame(frame, pose, gaussians, rasterizer).map(Some)
                     }
                     _ => Ok(None),
-                }
+                };
+                maps.iter().map(score).collect()
             })
-            .collect::<Result<_, EvalError>>()?;
-        scores.extend(scored);
+            .collect::<Result<Vec<RowScores>, EvalError>>()?;
+        done += scored.len();
+        for of_frame in scored {
+            for (scores, of_frame) in scores.iter_mut().zip(of_frame) {
+                scores.push(of_frame);
+            }
+        }
         observer.on(&RunEvent::Scored {
-            done: scores.len(),
+            done,
             total: rows.len(),
         });
     }
-    drop(frames);
-    for (row, scores) in rows.iter_mut().zip(scores) {
+    Ok(Some(scores))
+}
+
+/// Takes over the scores that there are.
+fn set_scores(rows: &mut [FrameRow], scores: Option<RowScores>) {
+    for (row, scores) in rows.iter_mut().zip(scores.into_iter().flatten()) {
         if let Some(scores) = scores {
             row.scores = scores;
         }
     }
-    Ok(true)
 }
 
 fn score_frame(

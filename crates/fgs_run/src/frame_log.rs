@@ -7,7 +7,8 @@ use fgs_slam::{FrameStatus, KeyframeKind};
 use serde::{Deserialize, Serialize};
 
 use crate::error::RunError;
-use crate::scores::{SCORES, Scores, Source};
+use crate::score_values::Scores;
+use crate::scores::{SCORES, Source};
 
 /// A frame of a run. What is not known or does not apply is `None`, an empty field in the file.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]

@@ -3,12 +3,12 @@
 use std::io::Write;
 use std::path::PathBuf;
 
-use fgs_slam::Execution;
+use fgs_slam::{Execution, Holdout};
 use serde::{Deserialize, Serialize};
 
 use crate::error::RunError;
 use crate::run_folder::{METRICS, RunFolder};
-use crate::scores::Scores;
+use crate::score_values::Scores;
 
 /// A run in numbers. What was not computed is `null`, as is an infinite signal-to-noise ratio.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -46,7 +46,7 @@ pub struct Metrics {
     pub num_gaussians: usize,
     /// Size of the map's file; 0 if it could not be written.
     pub map_bytes: u64,
-    /// Peak resident memory of the process when tracking and mapping ended.
+    /// Peak resident memory of the process when tracking, mapping and refinement ended.
     pub peak_rss_bytes: Option<u64>,
     /// Memory that the map takes on the graphics device at the end.
     pub device_bytes: u64,
@@ -62,6 +62,30 @@ pub struct Metrics {
     pub threads: usize,
     /// The recording as given.
     pub dataset: PathBuf,
+    /// Of every so many frames, the last was kept out of the map; left out if none was.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub eval_holdout: Option<Holdout>,
+    /// The map after refinement; left out if there was none. All else but the peak of memory is about
+    /// the run up to the end of the recording.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub refined: Option<RefinedMetrics>,
+}
+
+/// What became of the map by optimisation after the end of the recording.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct RefinedMetrics {
+    /// Optimisation steps after the end of the recording.
+    pub steps: usize,
+    /// Wall-clock time that they took.
+    pub seconds: f64,
+    /// How good the refined map is: those of [`SCORES`](crate::SCORES) that are about the map, by the
+    /// same names; left out where they are not known.
+    #[serde(flatten, serialize_with = "Scores::serialize_known")]
+    pub scores: Scores,
+    /// Gaussians in the refined map.
+    pub num_gaussians: usize,
+    /// Size of its file; 0 if it could not be written.
+    pub map_bytes: u64,
 }
 
 impl Metrics {
@@ -90,7 +114,11 @@ impl Metrics {
     /// A small table for people.
     pub fn table(&self) -> String {
         let mut lines = Vec::new();
-        let mut line = |name: &str, text: String| lines.push(format!("  {name:<11}{text}"));
+        let mut line = |name: &str, text: String| lines.push(table_line(2, name, &text));
+        let map = |gaussians: usize, bytes: u64| {
+            let megabytes = bytes as f64 / 1e6;
+            format!("{gaussians} gaussians, {megabytes:.1} MB")
+        };
         line(
             "frames",
             format!(
@@ -102,7 +130,7 @@ impl Metrics {
                 self.keyframes
             ),
         );
-        for (name, text) in self.shown_scores() {
+        for (name, text) in self.scores.shown() {
             line(name, text);
         }
         if let (Some(fps), Some(tracking)) = (self.fps, self.tracking_ms) {
@@ -114,29 +142,22 @@ impl Metrics {
                 ),
             );
         }
-        let megabytes = self.map_bytes as f64 / 1e6;
-        line(
-            "map",
-            format!("{} gaussians, {megabytes:.1} MB", self.num_gaussians),
-        );
+        line("map", map(self.num_gaussians, self.map_bytes));
+        if let Some(refined) = &self.refined {
+            let RefinedMetrics { steps, seconds, .. } = refined;
+            line("refined", format!("{steps} more steps in {seconds:.1} s"));
+            let mut line = |name: &str, text: String| lines.push(table_line(4, name, &text));
+            for (name, text) in refined.scores.shown() {
+                line(name, text);
+            }
+            line("map", map(refined.num_gaussians, refined.map_bytes));
+        }
         lines.join("\n")
     }
+}
 
-    /// The scores that are known, line by line.
-    fn shown_scores(&self) -> Vec<(&'static str, String)> {
-        let mut lines: Vec<(&str, String)> = Vec::new();
-        for (score, value) in self.scores.iter() {
-            let (Some(shown), Some(value)) = (&score.shown, value) else {
-                continue;
-            };
-            let text = format!("{:.*}{}", shown.decimals, shown.scale * value, shown.unit);
-            match lines.last_mut() {
-                Some((line, texts)) if *line == shown.line => *texts += &format!(", {text}"),
-                _ => lines.push((shown.line, text)),
-            }
-        }
-        lines
-    }
+fn table_line(indent: usize, name: &str, text: &str) -> String {
+    format!("{:indent$}{name:<11}{text}", "")
 }
 
 #[cfg(test)]
@@ -201,6 +222,43 @@ mod tests {
              \x20 depth L1   1.50 cm\n\
              \x20 speed      10.00 frames/s at 10.0 iterations a frame, tracking 20.0 ms\n\
              \x20 map        1000 gaussians, 0.1 MB"
+        );
+    }
+
+    /// Both go beside what is there without them.
+    #[test]
+    fn refinement_and_test_views_have_keys_and_lines_of_their_own() {
+        let test_views = r#"
+  "test_psnr_db": 22.0,
+  "test_ssim": 0.75,"#;
+        let added = r#""dataset": "room",
+  "eval_holdout": 8,
+  "refined": {
+    "steps": 2000,
+    "seconds": 31.25,
+    "psnr_db": 27.0,
+    "ssim": 0.9375,
+    "test_psnr_db": 23.0,
+    "num_gaussians": 900,
+    "map_bytes": 51000
+  }"#;
+        let text = SAVED
+            .replace("0.015,", &format!("0.015,{test_views}"))
+            .replace(r#""dataset": "room""#, added);
+        let metrics: Metrics = serde_json::from_str(&text).unwrap();
+        let again = serde_json::to_string_pretty(&metrics).unwrap();
+        assert_eq!(again, text.trim_end());
+        let plain: Metrics = serde_json::from_str(SAVED).unwrap();
+        assert_eq!(
+            metrics.table(),
+            plain.table().replace(
+                "1.50 cm",
+                "1.50 cm\n  test views 22.00 dB everywhere, 0.7500 SSIM"
+            ) + "\n  refined    2000 more steps in 31.2 s\n\
+                   \x20   PSNR       27.00 dB everywhere\n\
+                   \x20   SSIM       0.9375\n\
+                   \x20   test views 23.00 dB everywhere\n\
+                   \x20   map        900 gaussians, 0.1 MB"
         );
     }
 }

@@ -18,6 +18,13 @@ pub enum RunEvent<'a> {
         /// Optimisation steps so far, as far as known.
         steps: usize,
     },
+    /// The map was refined by one more step, after the last frame.
+    Refined {
+        /// Steps done so far.
+        done: usize,
+        /// Steps in all.
+        total: usize,
+    },
     /// Frames were rendered and scored.
     Scored {
         /// Frames done so far.
@@ -27,7 +34,7 @@ pub enum RunEvent<'a> {
     },
 }
 
-/// Sees every event, in order. While frames are tracked it is called on another thread than the one
+/// Sees every event, in order. While frames are tracked and the map is refined it is called on another thread than the one
 /// that tracks: a slow observer does not slow the run.
 pub trait RunObserver {
     /// Called for each event.

@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::AtomicBool;
 
 use fgs_data::{DataError, Dataset};
-use fgs_slam::Execution;
+use fgs_slam::{Execution, Holdout};
 
 use crate::backend::{Backend, Model};
 use crate::drive::drive;
@@ -41,6 +41,10 @@ pub struct RunOptions {
     pub backend: Option<Backend>,
     /// Which frames; all.
     pub frames: Option<FrameRange>,
+    /// Optimisation steps after the last frame, with all keyframes alike, which give a second map; 0.
+    pub refine: Option<usize>,
+    /// Frames that are tracked but kept out of the map, to judge it by; none.
+    pub eval_holdout: Option<Holdout>,
     /// Folder for the results; the first free of `runs/NAME`, `runs/NAME-2`, ... Results already in
     /// it are replaced when the run has ended.
     pub out: Option<PathBuf>,
@@ -64,6 +68,10 @@ pub struct Plan {
     pub settings: Settings,
     /// How tracker and mapper take turns.
     pub execution: Execution,
+    /// Optimisation steps after the last frame.
+    pub refine: usize,
+    /// Frames that are kept out of the map.
+    pub eval_holdout: Option<Holdout>,
     /// Where results go.
     pub folder: RunFolder,
     /// Whether to render and score every tracked frame at the end.
@@ -87,12 +95,16 @@ impl Plan {
         let execution = execution.unwrap_or(Execution::Lockstep);
         let backend = options.backend.or(recorded.backend).unwrap_or_default();
         let model = backend.model(&settings.mapping, options.pipeline_cache.as_deref())?;
+        let refine = options.refine.or(recorded.refine).unwrap_or(0);
+        let eval_holdout = options.eval_holdout.or(recorded.eval_holdout);
         settings.run = RunSettings {
             command: options.command.clone(),
             dataset: Some(options.dataset.clone()),
             mode: Some(execution),
             backend: Some(model.backend),
             frames: Some(frames.clone().into()),
+            refine: (refine > 0).then_some(refine),
+            eval_holdout,
             camera_overrides: settings.run.camera_overrides,
             commit: Some(COMMIT.into()),
         };
@@ -106,6 +118,8 @@ impl Plan {
             frames,
             settings,
             execution,
+            refine,
+            eval_holdout,
             folder,
             evaluate: options.evaluate,
         };
@@ -144,6 +158,7 @@ impl Plan {
         errors.note(result.save_rows(folder));
         errors.note(result.score_trajectory(&self.dataset));
         errors.note(result.save_map(folder));
+        errors.note(result.save_refined_map(folder));
         errors.note(result.metrics.write(folder));
         if self.evaluate {
             errors.note(result.score_images(&self.dataset, observer, stop));

@@ -12,8 +12,10 @@ pub const METRICS: &str = "metrics.json";
 pub const TRAJECTORY: &str = "trajectory.txt";
 /// What became of each frame.
 pub const FRAMES: &str = "frames.csv";
-/// The map.
+/// The map when the recording had ended.
 pub const MAP: &str = "map.ply";
+/// The map after refinement, if there was any.
+pub const REFINED_MAP: &str = "refined.ply";
 /// All settings; repeats the run.
 pub const CONFIG: &str = "config.effective.toml";
 /// Renders beside the input.
@@ -84,7 +86,7 @@ impl RunFolder {
     /// Removes the results of an earlier run, so that the folder never mixes two runs, not even if
     /// some of the new results cannot be written.
     pub(crate) fn clear_results(&self) {
-        for name in [METRICS, TRAJECTORY, FRAMES, MAP, CONFIG] {
+        for name in [METRICS, TRAJECTORY, FRAMES, MAP, REFINED_MAP, CONFIG] {
             // What is not there, or cannot be removed, shows when the new file is written.
             let _ = fs::remove_file(self.join(name));
         }

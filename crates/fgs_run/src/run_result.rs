@@ -7,7 +7,7 @@ use fgs_splat::Gaussians;
 use crate::error::RunError;
 use crate::frame_log::{self, FrameRow};
 use crate::metrics::Metrics;
-use crate::run_folder::{FRAMES, MAP, RunFolder, TRAJECTORY};
+use crate::run_folder::{FRAMES, MAP, REFINED_MAP, RunFolder, TRAJECTORY};
 
 /// A run's results.
 #[derive(Debug)]
@@ -16,8 +16,10 @@ pub struct RunResult {
     pub rows: Vec<FrameRow>,
     /// The poses of the tracked frames, `world_from_camera`.
     pub trajectory: Trajectory,
-    /// The map.
+    /// The map when the recording had ended.
     pub gaussians: Gaussians,
+    /// The map after refinement, if there was any.
+    pub refined: Option<Gaussians>,
     /// The numbers.
     pub metrics: Metrics,
 }
@@ -28,11 +30,17 @@ impl RunResult {
     /// # Errors
     /// If a file is missing or damaged.
     pub fn read(folder: &RunFolder) -> Result<Self, RunError> {
+        let metrics = Metrics::read(folder)?;
+        let read_map = |name: &str| fgs_splat::read_ply(&folder.join(name));
         Ok(Self {
-            metrics: Metrics::read(folder)?,
             rows: frame_log::read(&folder.join(FRAMES))?,
             trajectory: Trajectory::read(&folder.join(TRAJECTORY))?,
-            gaussians: fgs_splat::read_ply(&folder.join(MAP))?,
+            gaussians: read_map(MAP)?,
+            refined: match metrics.refined {
+                Some(_) => Some(read_map(REFINED_MAP)?),
+                None => None,
+            },
+            metrics,
         })
     }
 
@@ -43,16 +51,30 @@ impl RunResult {
 
     /// Saves the map and notes the size of its file.
     pub(crate) fn save_map(&mut self, folder: &RunFolder) -> Result<(), RunError> {
-        let path = folder.join(MAP);
-        fgs_splat::write_ply(&path, &self.gaussians)?;
-        let metadata =
-            std::fs::metadata(&path).map_err(|source| RunError::Read { path, source })?;
-        self.metrics.map_bytes = metadata.len();
+        self.metrics.map_bytes = write_map(&self.gaussians, folder, MAP)?;
+        Ok(())
+    }
+
+    /// Saves the refined map, if there is one, and notes the size of its file.
+    pub(crate) fn save_refined_map(&mut self, folder: &RunFolder) -> Result<(), RunError> {
+        if let (Some(gaussians), Some(metrics)) = (&self.refined, &mut self.metrics.refined) {
+            metrics.map_bytes = write_map(gaussians, folder, REFINED_MAP)?;
+        }
         Ok(())
     }
 
     /// Saves what became of each frame.
     pub(crate) fn save_rows(&self, folder: &RunFolder) -> Result<(), RunError> {
         folder.write(FRAMES, |file| frame_log::write(&self.rows, file))
+    }
+}
+
+/// Writes a map; returns the size of its file.
+fn write_map(gaussians: &Gaussians, folder: &RunFolder, name: &str) -> Result<u64, RunError> {
+    let path = folder.join(name);
+    fgs_splat::write_ply(&path, gaussians)?;
+    match std::fs::metadata(&path) {
+        Ok(metadata) => Ok(metadata.len()),
+        Err(source) => Err(RunError::Read { path, source }),
     }
 }

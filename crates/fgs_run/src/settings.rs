@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 
 use fgs_data::CameraFile;
 use fgs_slam::{
-    Execution, KeyframeConfig, MappingConfig, SeedingConfig, SlamConfig, SurfaceConfig,
+    Execution, Holdout, KeyframeConfig, MappingConfig, SeedingConfig, SlamConfig, SurfaceConfig,
     TrackingConfig,
 };
 use serde::{Deserialize, Serialize};
@@ -47,8 +47,8 @@ pub struct Settings {
     pub run: RunSettings,
 }
 
-/// The `[run]` table. `mode`, `backend`, `frames` and `camera_overrides` apply unless
-/// [`RunOptions`](crate::RunOptions) say otherwise; the rest is for people and for scoring the run
+/// The `[run]` table. `mode`, `backend`, `frames`, `refine`, `eval_holdout` and `camera_overrides` apply
+/// unless [`RunOptions`](crate::RunOptions) say otherwise; the rest is for people and for scoring the run
 /// again.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
@@ -68,6 +68,12 @@ pub struct RunSettings {
     /// The frames of the recording.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub frames: Option<FrameRange>,
+    /// Optimisation steps after the last frame.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub refine: Option<usize>,
+    /// Of every so many frames, the last is kept out of the map.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub eval_holdout: Option<Holdout>,
     /// Whether `[camera]` applies even where the recording has its own, as a camera file given for
     /// the run does.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -240,6 +246,10 @@ mod tests {
             ("[camera]\nwidth = 640", ":1: missing field"),
             ("[run]\nmode = 'fast'", ":2: unknown variant `fast`"),
             ("[run]\nbackend = 'abacus'", ":2: unknown variant `abacus`"),
+            (
+                "[run]\neval_holdout = 1",
+                ":2: one frame in 1 cannot be held out",
+            ),
             ("[run]\nframes = '7'", ":2: '7' is not a range"),
         ] {
             let message = read(text).unwrap_err();
@@ -258,6 +268,8 @@ mod tests {
             mode: Some(Execution::Lockstep),
             backend: Some(Backend::Cpu),
             frames: Some((2..8).into()),
+            refine: Some(30),
+            eval_holdout: Some(Holdout::every(8).unwrap()),
             camera_overrides: None,
             commit: Some("unknown".into()),
         };

@@ -29,6 +29,13 @@ pub enum SlamEvent {
     },
     /// Keyframes have new poses `world_from_camera`; the map has moved with them.
     Correction(Arc<[(KeyframeId, Se3)]>),
+    /// The map was refined by one more step, after the last frame.
+    Refined {
+        /// Steps taken so far.
+        done: usize,
+        /// Steps asked for.
+        steps: usize,
+    },
     /// The map as it was a moment ago; comes when a subscriber asked for it.
     Snapshot(Arc<Gaussians>),
 }

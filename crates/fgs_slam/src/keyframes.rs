@@ -71,6 +71,17 @@ pub struct NewPoint {
     pub id: SparseId,
 }
 
+/// Whether a frame may become a keyframe.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Admission {
+    /// It may.
+    Allowed,
+    /// Not now: the mapper has no room.
+    PutOff,
+    /// Never: it is to judge the map by.
+    HeldOut,
+}
+
 /// Decides frame by frame.
 pub struct KeyframePolicy {
     min_overlap_share: f64,

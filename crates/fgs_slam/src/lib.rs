@@ -2,7 +2,8 @@
 //! a Fourier segmentation of the image.
 //!
 //! A [`Slam`] session takes frames one by one. [`drive`] feeds it a recording, [`replay`] does so at
-//! the recording's own pace, [`live`] feeds it a camera. A [`Mapper`] alone, with a
+//! the recording's own pace, [`live`] feeds it a camera. [`Slam::finish_refined`] optimises the map
+//! further when the frames have ended. A [`Mapper`] alone, with a
 //! [`KeyframePreparer`], builds a map from poses that are known.
 
 mod color_aligner;
@@ -10,6 +11,7 @@ mod config;
 mod event;
 mod frame_result;
 pub mod frequency;
+mod holdout;
 mod inferred_depth;
 mod keyframes;
 mod map_alignment;
@@ -17,6 +19,7 @@ mod mapper;
 mod missing;
 mod motion;
 mod prepare;
+mod refinement;
 mod seeding;
 mod session;
 mod sparse_map;
@@ -31,8 +34,10 @@ pub use config::{
 pub use event::{SlamEvent, Subscription};
 pub use fgs_splat::SettingError;
 pub use frame_result::{FrameResult, FrameStatus, TrackingQuality};
+pub use holdout::{Holdout, HoldoutError};
 pub use keyframes::{Keyframe, KeyframeKind, NewPoint};
 pub use mapper::{Mapper, MapperError, model_settings};
 pub use prepare::{KeyframePreparer, PreparedKeyframe};
+pub use refinement::RefinedMap;
 pub use session::{KeyframeRecord, Slam, SlamError, SlamOutput, Timings};
 pub use system::{Execution, UnknownExecution, drive, live, replay};

@@ -11,6 +11,7 @@ use crate::keyframes::Keyframe;
 use crate::map_alignment::align_with_map;
 use crate::missing::missing_region;
 use crate::prepare::PreparedKeyframe;
+use crate::refinement::Rounds;
 use crate::view_choice::ViewChoice;
 
 /// A keyframe that shows more than this share of the newest keyframe's gaussians is covisible with
@@ -129,17 +130,27 @@ impl Mapper {
     /// # Errors
     /// If the model fails.
     pub fn step(&mut self) -> Result<(), MapperError> {
-        let Some(view) = self.choice.draw() else {
-            return Ok(());
-        };
-        self.model.step(view)?;
-        // Nobody reads them yet; left in the model they would grow with the run.
-        self.model.take_stats();
-        self.steps += 1;
-        if self.steps.is_multiple_of(self.config.mapping.prune_every) {
-            self.model.prune(&PRUNE_RULE)?;
+        match self.choice.draw() {
+            Some(view) => self.step_on(view),
+            None => Ok(()),
         }
-        Ok(())
+    }
+
+    /// The keyframes that can be optimised, to be drawn by [`refine`](Self::refine).
+    pub(crate) fn rounds(&self) -> Rounds {
+        let views = self.views.iter().map(|(id, _)| *id);
+        Rounds::new(self.config.seed, views.collect())
+    }
+
+    /// One optimisation step like any other, whose keyframe is the next of `rounds`.
+    ///
+    /// # Errors
+    /// If the model fails.
+    pub(crate) fn refine(&mut self, rounds: &mut Rounds) -> Result<(), MapperError> {
+        match rounds.draw() {
+            Some(view) => self.step_on(view),
+            None => Ok(()),
+        }
     }
 
     /// Moves gaussians and views with their keyframes, each by its `new_world_from_old_world`.
@@ -184,6 +195,18 @@ impl Mapper {
     /// The map; after a failure, as far as it is known.
     pub fn into_gaussians(self) -> Gaussians {
         self.model.into_gaussians()
+    }
+
+    /// One optimisation step with a keyframe; now and then gaussians of no use go.
+    fn step_on(&mut self, view: KeyframeId) -> Result<(), MapperError> {
+        self.model.step(view)?;
+        // Nobody reads them yet; left in the model they would grow with the run.
+        self.model.take_stats();
+        self.steps += 1;
+        if self.steps.is_multiple_of(self.config.mapping.prune_every) {
+            self.model.prune(&PRUNE_RULE)?;
+        }
+        Ok(())
     }
 
     /// Forgets the keyframe that came soonest after its predecessor, so that those kept stay spread

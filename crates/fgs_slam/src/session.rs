@@ -2,6 +2,7 @@
 //! drives this one type.
 
 use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
 use std::time::{Duration, Instant};
 
 use fgs_geom::{Camera, FrameError, FrameIndex, KeyframeId, RgbdFrame, Se3};
@@ -12,8 +13,10 @@ use rayon::ThreadPool;
 use crate::config::SlamConfig;
 use crate::event::{EventHub, SlamEvent, Subscription};
 use crate::frame_result::{FrameResult, FrameStatus};
-use crate::keyframes::{Keyframe, KeyframeKind};
+use crate::holdout::Holdout;
+use crate::keyframes::{Admission, Keyframe, KeyframeKind};
 use crate::mapper::MapperError;
+use crate::refinement::RefinedMap;
 use crate::system::{self, Execution, MapStatus, MapperGone, Mapping, Moves};
 use crate::tracker::Tracker;
 
@@ -34,6 +37,7 @@ pub struct Slam {
     keyframes: Vec<(KeyframeId, KeyframeKind, FrameIndex)>,
     frames: Vec<RecordedFrame>,
     first: FrameIndex,
+    holdout: Option<Holdout>,
     start: Instant,
 }
 
@@ -54,8 +58,10 @@ pub struct SlamOutput {
     pub keyframes: Vec<KeyframeRecord>,
     /// The keyframes' poses and how they hang together.
     pub graph: KeyframeGraph,
-    /// The map.
+    /// The map when the recording had ended.
     pub gaussians: Gaussians,
+    /// The map after refinement; `None` if none was asked for or not a single step was taken.
+    pub refined: Option<RefinedMap>,
     /// Bytes that the map took on a graphics device at the end.
     pub device_bytes: u64,
     /// Where the time went.
@@ -77,7 +83,7 @@ pub struct KeyframeRecord {
     pub world_from_camera: Se3,
 }
 
-/// Wall-clock times of a session.
+/// Wall-clock times of a session, without refinement.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Timings {
     /// From the session's start to the last step done, decoding included.
@@ -152,6 +158,7 @@ impl Slam {
             keyframes: Vec::new(),
             frames: Vec::new(),
             first: FrameIndex(0),
+            holdout: None,
             start: Instant::now(),
         })
     }
@@ -160,6 +167,13 @@ impl Slam {
     /// that cannot be read are numbered on from it.
     pub fn start_at(&mut self, first: FrameIndex) {
         self.first = first;
+    }
+
+    /// Keeps frames out of the map, to judge it by: they are tracked like any other, but do not become
+    /// keyframes; where one would have, the next does. They are counted from the number of the first
+    /// frame ([`start_at`](Self::start_at)).
+    pub fn hold_out(&mut self, holdout: Holdout) {
+        self.holdout = Some(holdout);
     }
 
     /// A queue of up to `capacity` events. When it is full, events are missed and counted; the
@@ -181,11 +195,11 @@ impl Slam {
         let frame = Arc::new(frame);
         self.tracker.remove_points(&self.map.take_removed());
         take_moved(&self.map, &mut self.graph, &mut self.tracker, &self.events);
-        let may_become_keyframe = self.mapping.accepts_keyframe();
+        let admission = self.admission(frame.index);
         let tracker = &mut self.tracker;
         let tracked = match &self.tracker_threads {
-            Some(threads) => threads.install(|| tracker.track(&frame, may_become_keyframe)),
-            None => tracker.track(&frame, may_become_keyframe),
+            Some(threads) => threads.install(|| tracker.track(&frame, admission)),
+            None => tracker.track(&frame, admission),
         };
         let keyframe = tracked.keyframe;
         if let Some(keyframe) = &keyframe {
@@ -260,7 +274,15 @@ impl Slam {
 
     /// Ends the session. The last tracked frame becomes a keyframe, so that the map reaches as far as
     /// the camera did. Whatever the mapper's fate, everything so far is returned.
-    pub fn finish(mut self) -> SlamOutput {
+    pub fn finish(self) -> SlamOutput {
+        self.finish_refined(0, &AtomicBool::new(false))
+    }
+
+    /// Ends the session as [`finish`](Self::finish) does, then optimises a copy of its map by `steps`
+    /// further steps, or until `stop` is set. They go to all keyframes that are in memory (see
+    /// [`MappingConfig::max_keyframes`](crate::MappingConfig::max_keyframes)), drawn at random, to each
+    /// equally often up to one.
+    pub fn finish_refined(mut self, steps: usize, stop: &AtomicBool) -> SlamOutput {
         let closing = self.tracker.finish();
         if let Some(keyframe) = &closing {
             self.add_keyframe(keyframe);
@@ -269,7 +291,8 @@ impl Slam {
                 frame.result.keyframe = Some((keyframe.id, keyframe.kind));
             }
         }
-        let mapped = self.mapping.finish(closing);
+        let mapped = self.mapping.finish(closing, steps, stop);
+        let refining = mapped.refined.as_ref().map(|refined| refined.duration);
         take_moved(&self.map, &mut self.graph, &mut self.tracker, &self.events);
         self.events.close();
         let graph = self.graph;
@@ -296,9 +319,10 @@ impl Slam {
                 })
                 .collect(),
             gaussians: mapped.gaussians,
+            refined: mapped.refined,
             device_bytes: mapped.device_bytes,
             timings: Timings {
-                total: self.start.elapsed(),
+                total: self.start.elapsed() - refining.unwrap_or_default(),
                 mapping: mapped.busy,
                 steps: mapped.steps,
             },
@@ -316,6 +340,17 @@ impl Slam {
             });
         }
         Ok(frame.check()?)
+    }
+
+    fn admission(&self, index: FrameIndex) -> Admission {
+        let place = index.0.saturating_sub(self.first.0);
+        if self.holdout.is_some_and(|holdout| holdout.contains(place)) {
+            Admission::HeldOut
+        } else if self.mapping.accepts_keyframe() {
+            Admission::Allowed
+        } else {
+            Admission::PutOff
+        }
     }
 
     /// Puts a keyframe into the graph, with an edge from the one before it. Its pose comes from the

@@ -17,7 +17,7 @@ use rayon::prelude::*;
 use crate::color_aligner::ColorAligner;
 use crate::config::{KeyframeConfig, SlamConfig, SurfaceConfig, TrackingConfig};
 use crate::frame_result::TrackingQuality;
-use crate::keyframes::{Keyframe, KeyframeKind, KeyframePolicy, NewPoint};
+use crate::keyframes::{Admission, Keyframe, KeyframeKind, KeyframePolicy, NewPoint};
 use crate::motion::MotionModel;
 use crate::sparse_map::SparseMap;
 use crate::surface::tracking_grid;
@@ -45,7 +45,7 @@ pub struct Tracker {
     color: ColorAligner,
     motion: MotionModel,
     newest_keyframe: Option<KeyframeId>,
-    /// The last trusted frame, unless it became a keyframe.
+    /// The last trusted frame that was not held out, unless it became a keyframe.
     unmapped: Option<(Arc<RgbdFrame>, Located)>,
 }
 
@@ -95,9 +95,9 @@ impl Tracker {
         }
     }
 
-    /// Tracks a frame. It becomes a keyframe only if `may_become_keyframe`; a tracking keyframe that
-    /// was not allowed is due again at the next frame.
-    pub fn track(&mut self, frame: &Arc<RgbdFrame>, may_become_keyframe: bool) -> Tracked {
+    /// Tracks a frame. It becomes a keyframe only if that is allowed; one that was not is due again at
+    /// the next frame. Without a map, a frame that is not allowed is lost: it cannot start one.
+    pub fn track(&mut self, frame: &Arc<RgbdFrame>, admission: Admission) -> Tracked {
         let start = Instant::now();
         let points = self.grid.surface_points(&frame.depth_m, &frame.camera);
         let mut quality = TrackingQuality {
@@ -105,7 +105,12 @@ impl Tracker {
             sparse_points: self.map.points().len(),
             ..TrackingQuality::default()
         };
-        let registered = self.register(frame, &points, &mut quality);
+        let allowed = admission == Admission::Allowed;
+        let registered = if allowed || self.newest_keyframe.is_some() {
+            self.register(frame, &points, &mut quality)
+        } else {
+            None
+        };
         let mut keyframe = None;
         let mut world_from_camera = None;
         if let Some(registered) = registered {
@@ -117,14 +122,16 @@ impl Tracker {
                 frame.timestamp_secs,
             );
             let overlap_share = quality.inliers as f64 / points.len() as f64;
-            if let Some(kind) = self.policy.decide(overlap_share, may_become_keyframe) {
+            if let Some(kind) = self.policy.decide(overlap_share, allowed) {
                 let made = self.make_keyframe(kind, frame, &located, &points);
                 if let Some(pyramid) = &pyramid {
                     self.color.add(&made, pyramid);
                 }
                 keyframe = Some(made);
             }
-            self.unmapped = keyframe.is_none().then(|| (Arc::clone(frame), located));
+            if admission != Admission::HeldOut {
+                self.unmapped = keyframe.is_none().then(|| (Arc::clone(frame), located));
+            }
         }
         quality.duration = start.elapsed();
         Tracked {

@@ -5,6 +5,7 @@
 mod common;
 
 use std::io::Write;
+use std::sync::atomic::AtomicBool;
 
 use common::{
     config, cpu_model, feed, frames, poses, psnr_of_map_db, room, session_with,
@@ -15,11 +16,12 @@ use fgs_splat::{GaussianModel, GpuDevice, GpuError, GpuModel};
 use fgs_synth::Sequence;
 
 const FRAMES: usize = 12;
+const REFINE_STEPS: usize = 10;
 
 fn go(sequence: &Sequence, execution: Execution, model: Box<dyn GaussianModel>) -> SlamOutput {
     let mut slam = session_with(sequence, execution, model);
     feed(&mut slam, execution, frames(sequence));
-    slam.finish()
+    slam.finish_refined(REFINE_STEPS, &AtomicBool::new(false))
 }
 
 #[test]
@@ -47,6 +49,9 @@ fn a_run_on_a_device_repeats_itself_and_is_as_good_as_on_the_cpu() {
 
     let again = go(&sequence, Execution::Lockstep, new_model());
     assert!(again.gaussians == on_gpu.gaussians);
+    let refined = |output: &SlamOutput| output.refined.clone().unwrap();
+    assert_eq!(refined(&on_gpu).steps, REFINE_STEPS);
+    assert!(refined(&again).gaussians == refined(&on_gpu).gaussians);
     assert_eq!(poses(&again), poses(&on_gpu));
 
     let error_m = |output| worst_position_error_m(output, &sequence);
@@ -57,12 +62,17 @@ fn a_run_on_a_device_repeats_itself_and_is_as_good_as_on_the_cpu() {
         "{gpu_error_m} m, {cpu_error_m} m"
     );
     for index in [0, FRAMES / 2, FRAMES - 1] {
-        let psnr_db = |output| psnr_of_map_db(output, &sequence, index);
-        let (on_cpu, on_gpu) = (psnr_db(&on_cpu), psnr_db(&on_gpu));
-        assert!(
-            (on_gpu - on_cpu).abs() <= 0.05,
-            "frame {index}: {on_gpu} dB, {on_cpu} dB"
-        );
+        let psnrs_db = |output: &SlamOutput| {
+            let maps = [&output.gaussians, &refined(output).gaussians];
+            maps.map(|map| psnr_of_map_db(output, map, &sequence, index))
+        };
+        let (on_cpu, on_gpu) = (psnrs_db(&on_cpu), psnrs_db(&on_gpu));
+        for (on_cpu, on_gpu) in on_cpu.iter().zip(on_gpu) {
+            assert!(
+                (on_gpu - on_cpu).abs() <= 0.05,
+                "frame {index}: {on_gpu} dB, {on_cpu} dB"
+            );
+        }
     }
 
     let in_parallel = go(&sequence, Execution::Parallel, new_model());

@@ -4,6 +4,7 @@
 
 mod common;
 
+use std::sync::atomic::AtomicBool;
 use std::sync::{Arc, OnceLock};
 use std::time::{Duration, Instant};
 
@@ -173,6 +174,29 @@ fn a_mapper_that_fails_at_the_closing_keyframe_costs_only_that() {
         assert!(output.failure.is_some(), "{execution:?}");
         assert_eq!(output.frames.len(), 5);
         assert!(output.gaussians.len() > 100, "{execution:?}");
+    }
+}
+
+/// Five frames take ten steps, and three more are taken before the model fails or panics.
+#[test]
+fn a_mapper_that_fails_while_it_refines_leaves_both_maps() {
+    let sequence = room(5);
+    for execution in [Execution::Lockstep, Execution::Parallel] {
+        for panics in [false, true] {
+            let model = BadModel {
+                steps_left: 13,
+                panics,
+                ..BadModel::new()
+            };
+            let mut slam = session_with(&sequence, execution, Box::new(model));
+            feed(&mut slam, execution, sequence.frames().map(Ok));
+            let output = slam.finish_refined(100, &AtomicBool::new(false));
+            assert!(output.failure.is_some(), "{execution:?}");
+            assert_eq!((output.frames.len(), output.timings.steps), (5, 10));
+            let refined = output.refined.unwrap();
+            assert_eq!(refined.steps, 3, "{execution:?}");
+            assert!(refined.gaussians.len() > 100 && output.gaussians.len() > 100);
+        }
     }
 }
 

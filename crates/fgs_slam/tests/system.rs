@@ -39,7 +39,7 @@ fn tracks_and_maps_a_room() {
         );
         assert!(output.gaussians.len() >= 1000);
 
-        let psnr = psnr_of_map_db(&output, &sequence, 20);
+        let psnr = psnr_of_map_db(&output, &output.gaussians, &sequence, 20);
         assert!(psnr >= 24.0, "{execution:?}: {psnr} dB");
     }
 }

@@ -1,13 +1,17 @@
 use std::fs;
 use std::ops::ControlFlow;
 
-use fgs_slam::{FrameStatus, KeyframeKind};
+use std::sync::atomic::Ordering;
+
+use fgs_slam::{FrameStatus, Holdout, KeyframeKind};
+use fgs_splat::Gaussians;
 use fgs_synth::{SensorModel, Sequence, kinect_camera};
 use tempfile::TempDir;
 
 use super::*;
 use crate::observer::RunEvent;
-use crate::run_folder::{FRAMES, MAP, METRICS};
+use crate::run_folder::{FRAMES, MAP, METRICS, REFINED_MAP};
+use crate::{FinishedRun, Scores, score_images};
 
 const FRAME_COUNT: usize = 3;
 
@@ -80,15 +84,24 @@ fn an_observer_sees_each_frame_and_each_scored_batch() {
                     assert_eq!(row.status, FrameStatus::Tracked);
                     format!("frame {}", row.index)
                 }
+                RunEvent::Refined { done, total } => format!("refined {done} of {total}"),
                 RunEvent::Scored { done, total } => format!("scored {done} of {total}"),
             });
         }
     }
-    let (_folder, plan) = room();
+    let (_folder, mut plan) = room();
+    plan.refine = 2;
     let mut seen = Seen(Vec::new());
     plan.run(on_cpu(), &mut seen, &AtomicBool::new(false))
         .unwrap();
-    assert_eq!(seen.0, ["frame 0", "frame 1", "frame 2", "scored 3 of 3"]);
+    let refined = ["refined 1 of 2", "refined 2 of 2"];
+    let expected = [
+        &["frame 0", "frame 1", "frame 2"],
+        &refined[..],
+        &["scored 3 of 3"],
+    ]
+    .concat();
+    assert_eq!(seen.0, expected);
 }
 
 #[test]
@@ -149,5 +162,150 @@ fn frames_that_cannot_be_scored_are_saved_without_scores() {
     let saved = RunResult::read(&plan.folder).unwrap();
     assert_eq!(saved.rows.len(), FRAME_COUNT);
     assert!(saved.gaussians.len() > 100);
+    assert_eq!(saved.metrics.scores.get("psnr_db"), None);
+}
+
+/// The means of a map's scores, computed directly.
+fn means(plan: &Plan, result: &RunResult, map: &Gaussians, holdout: Option<Holdout>) -> Scores {
+    let mut rows = result.rows.clone();
+    let (trajectory, never) = (&result.trajectory, AtomicBool::new(false));
+    score_images(&mut rows, trajectory, map, &plan.dataset, &mut (), &never).unwrap();
+    let mut means = Scores::default();
+    means.set_means(&rows, holdout);
+    means
+}
+
+#[test]
+fn a_refined_map_has_scores_of_its_own_and_leaves_the_others_alone() {
+    let (_folder, mut plan) = room();
+    let plain = run(&plan).unwrap();
+    assert!(plain.metrics.refined.is_none() && !plan.folder.join(REFINED_MAP).exists());
+    let plain_map = fs::read(plan.folder.join(MAP)).unwrap();
+
+    plan.refine = 40;
+    let result = run(&plan).unwrap();
+    assert_eq!(fs::read(plan.folder.join(MAP)).unwrap(), plain_map);
+    assert_eq!(result.metrics.scores, plain.metrics.scores);
+    assert_eq!(result.metrics.iterations, plain.metrics.iterations);
+    let refined = result.metrics.refined.as_ref().unwrap();
+    assert_eq!(
+        (refined.steps, refined.num_gaussians),
+        (40, result.refined.as_ref().unwrap().len())
+    );
+    let bytes = fs::metadata(plan.folder.join(REFINED_MAP)).unwrap().len();
+    assert_eq!(refined.map_bytes, bytes);
+    assert_eq!(
+        refined.scores,
+        means(&plan, &result, result.refined.as_ref().unwrap(), None)
+    );
+    for name in ["psnr_valid_depth_db", "psnr_db", "psnr_heldout_db"] {
+        let (after, before) = (refined.scores.get(name), plain.metrics.scores.get(name));
+        assert!(
+            after.unwrap() >= before.unwrap() + 0.5,
+            "{name}: {before:?}, then {after:?}"
+        );
+    }
+
+    let saved = RunResult::read(&plan.folder).unwrap();
+    assert_eq!(saved.refined, result.refined);
+    assert_eq!(saved.metrics, result.metrics);
+
+    // Results of another run take those of the first with them.
+    plan.refine = 0;
+    run(&plan).unwrap();
+    assert!(!plan.folder.join(REFINED_MAP).exists());
+}
+
+#[test]
+fn test_views_are_no_keyframes_and_have_scores_of_their_own() {
+    let (_folder, mut plan) = room();
+    let holdout = Holdout::every(3).unwrap();
+    (plan.eval_holdout, plan.refine) = (Some(holdout), 5);
+    let result = run(&plan).unwrap();
+    // The last frame is held out: the one before it closes the map.
+    let keyframes: Vec<_> = result.rows.iter().map(|row| row.keyframe).collect();
+    let [first, closing] = [KeyframeKind::Tracking, KeyframeKind::Mapping];
+    assert_eq!(keyframes, [Some(first), Some(closing), None]);
+    let metrics = &result.metrics;
+    assert_eq!(metrics.eval_holdout, Some(holdout));
+    for (test, of_frame) in [
+        ("test_psnr_valid_depth_db", "psnr_valid_depth_db"),
+        ("test_psnr_db", "psnr_db"),
+        (
+            "test_psnr_exposure_valid_depth_db",
+            "psnr_exposure_valid_depth_db",
+        ),
+        ("test_psnr_exposure_db", "psnr_exposure_db"),
+        ("test_ssim", "ssim"),
+        ("test_depth_l1_m", "depth_l1_m"),
+    ] {
+        assert!(metrics.scores.get(test).is_some(), "{test}");
+        assert_eq!(
+            metrics.scores.get(test),
+            result.rows[2].scores.get(of_frame),
+            "{test}"
+        );
+    }
+    let refined = metrics.refined.as_ref().unwrap();
+    let direct = means(
+        &plan,
+        &result,
+        result.refined.as_ref().unwrap(),
+        Some(holdout),
+    );
+    assert_eq!(refined.scores, direct);
+    assert_ne!(
+        refined.scores.get("test_psnr_db"),
+        metrics.scores.get("test_psnr_db")
+    );
+}
+
+#[test]
+fn a_finished_run_is_scored_again_with_both_maps() {
+    let (_folder, mut plan) = room();
+    (plan.eval_holdout, plan.refine) = (Some(Holdout::every(2).unwrap()), 5);
+    plan.settings.run.eval_holdout = plan.eval_holdout;
+    let scored = run(&plan).unwrap().metrics;
+    plan.evaluate = false;
+    assert_eq!(run(&plan).unwrap().metrics.scores.get("test_ssim"), None);
+    let finished = FinishedRun::open(plan.folder.path(), None).unwrap();
+    let never = AtomicBool::new(false);
+    let again = finished.rescore(&mut (), &never).unwrap().unwrap().metrics;
+    let pairs = |a: &Scores, b: &Scores| {
+        for ((score, a), (_, b)) in a.iter().zip(b.iter()) {
+            // Quaternions are normalised again on reading, which may change their last bits.
+            let error = (a.unwrap_or(0.0) - b.unwrap_or(0.0)).abs();
+            assert!(
+                a.is_some() == b.is_some() && error <= 1e-9,
+                "{}: {a:?} {b:?}",
+                score.name
+            );
+        }
+    };
+    pairs(&again.scores, &scored.scores);
+    assert!(again.scores.get("test_ssim").is_some());
+    let refined = |metrics: &crate::Metrics| metrics.refined.clone().unwrap().scores;
+    pairs(&refined(&again), &refined(&scored));
+    assert!(refined(&again).get("test_ssim").is_some());
+}
+
+#[test]
+fn a_stop_during_refinement_saves_both_maps() {
+    struct StopAt<'a>(usize, &'a AtomicBool);
+    impl RunObserver for StopAt<'_> {
+        fn on(&mut self, event: &RunEvent<'_>) {
+            if let RunEvent::Refined { done, .. } = event {
+                self.1.store(*done >= self.0, Ordering::Relaxed);
+            }
+        }
+    }
+    let (_folder, mut plan) = room();
+    plan.refine = usize::MAX;
+    let stop = AtomicBool::new(false);
+    let result = plan.run(on_cpu(), &mut StopAt(3, &stop), &stop).unwrap();
+    assert!(result.metrics.interrupted);
+    assert!((3..1000).contains(&result.metrics.refined.as_ref().unwrap().steps));
+    let saved = RunResult::read(&plan.folder).unwrap();
+    assert!(saved.gaussians.len() > 100 && saved.refined.unwrap().len() > 100);
     assert_eq!(saved.metrics.scores.get("psnr_db"), None);
 }

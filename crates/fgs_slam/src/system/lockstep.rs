@@ -1,6 +1,7 @@
 //! Tracker and mapper in strict turns on one thread; inside a turn all threads compute. The same
 //! input gives the same bits.
 
+use std::sync::atomic::AtomicBool;
 use std::time::Instant;
 
 use crossbeam_channel::never;
@@ -60,8 +61,13 @@ impl Mapping for Lockstep {
         Ok(())
     }
 
-    fn finish(mut self: Box<Self>, closing: Option<Keyframe>) -> MappingOutput {
+    fn finish(
+        mut self: Box<Self>,
+        closing: Option<Keyframe>,
+        refine_steps: usize,
+        stop: &AtomicBool,
+    ) -> MappingOutput {
         self.worker.close(closing);
-        self.worker.finish()
+        self.worker.finish(refine_steps, stop)
     }
 }

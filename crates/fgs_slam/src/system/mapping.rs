@@ -1,6 +1,7 @@
 //! How the mapper gets its turns: what a session asks of each way to run it.
 
 use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
 use std::time::Instant;
 
 use fgs_geom::{KeyframeId, Se3};
@@ -32,6 +33,12 @@ pub trait Mapping: Send {
     /// Waits until a time, or until the mapper is gone.
     fn wait_until(&self, time: Instant) -> Result<(), MapperGone>;
 
-    /// Ends mapping; the closing keyframe, if any, still joins the map.
-    fn finish(self: Box<Self>, closing: Option<Keyframe>) -> MappingOutput;
+    /// Ends mapping; the closing keyframe, if any, still joins the map. Then a copy of the map is
+    /// refined by up to `refine_steps`, until `stop` is set.
+    fn finish(
+        self: Box<Self>,
+        closing: Option<Keyframe>,
+        refine_steps: usize,
+        stop: &AtomicBool,
+    ) -> MappingOutput;
 }

@@ -3,6 +3,7 @@
 
 use std::convert::Infallible;
 use std::io;
+use std::sync::atomic::AtomicBool;
 use std::thread::{Builder, JoinHandle};
 use std::time::Instant;
 
@@ -118,12 +119,17 @@ impl Mapping for MappingThread {
         }
     }
 
-    fn finish(self: Box<Self>, closing: Option<Keyframe>) -> MappingOutput {
+    fn finish(
+        self: Box<Self>,
+        closing: Option<Keyframe>,
+        refine_steps: usize,
+        stop: &AtomicBool,
+    ) -> MappingOutput {
         drop(self.messages);
         match self.thread.join() {
             Ok(mut worker) => {
                 worker.close(closing);
-                worker.finish()
+                worker.finish(refine_steps, stop)
             }
             Err(panic) => MappingOutput::panicked(&*panic),
         }

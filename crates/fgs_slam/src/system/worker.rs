@@ -3,7 +3,7 @@
 
 use std::any::Any;
 use std::panic::{AssertUnwindSafe, catch_unwind};
-use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
@@ -14,6 +14,7 @@ use super::preparation::Preparation;
 use crate::event::{EventHub, SlamEvent};
 use crate::keyframes::Keyframe;
 use crate::mapper::{Mapper, MapperError};
+use crate::refinement::RefinedMap;
 
 /// What the mapper tells the tracking side. Bounded by the size of the map.
 #[derive(Default)]
@@ -64,7 +65,10 @@ pub struct MapperWorker {
 
 /// What is left when mapping has ended.
 pub struct MappingOutput {
+    /// The map when the recording had ended.
     pub gaussians: Gaussians,
+    /// The map after refinement, if there was any.
+    pub refined: Option<RefinedMap>,
     pub device_bytes: u64,
     pub steps: usize,
     pub busy: Duration,
@@ -76,6 +80,7 @@ impl MappingOutput {
     pub fn panicked(panic: &(dyn Any + Send)) -> Self {
         Self {
             gaussians: Gaussians::default(),
+            refined: None,
             device_bytes: 0,
             steps: 0,
             busy: Duration::ZERO,
@@ -178,17 +183,58 @@ impl MapperWorker {
         });
     }
 
-    /// Ends mapping. After a failure the map is what is known of it, after a panic perhaps nothing.
-    pub fn finish(self) -> MappingOutput {
-        let (device_bytes, steps) = (self.mapper.device_bytes(), self.mapper.steps());
+    /// Ends mapping, and refines a copy of the map by up to `refine_steps`, until `stop` is set. After a
+    /// failure the map is what is known of it, after a panic perhaps nothing.
+    pub fn finish(mut self, refine_steps: usize, stop: &AtomicBool) -> MappingOutput {
+        let mut recorded = None;
+        if refine_steps > 0 && self.has_views() {
+            self.turn(|worker| {
+                recorded = Some(worker.gaussians()?);
+                Ok(())
+            });
+        }
+        let (device_bytes, steps, busy) =
+            (self.mapper.device_bytes(), self.mapper.steps(), self.busy);
+        let start = Instant::now();
+        if recorded.is_some() {
+            self.refine(refine_steps, stop);
+        }
+        let refined_steps = self.mapper.steps() - steps;
         let mapper = self.mapper;
+        let gaussians =
+            catch_unwind(AssertUnwindSafe(|| mapper.into_gaussians())).unwrap_or_default();
+        let (gaussians, refined) = match recorded {
+            Some(recorded) if refined_steps > 0 => (
+                recorded,
+                Some(RefinedMap {
+                    gaussians,
+                    steps: refined_steps,
+                    duration: start.elapsed(),
+                }),
+            ),
+            _ => (gaussians, None),
+        };
         MappingOutput {
-            gaussians: catch_unwind(AssertUnwindSafe(|| mapper.into_gaussians()))
-                .unwrap_or_default(),
+            gaussians,
+            refined,
             device_bytes,
             steps,
-            busy: self.busy,
+            busy,
             failure: self.failure,
+        }
+    }
+
+    /// Optimises the map with all keyframes alike, until so many steps are taken, `stop` is set or the
+    /// mapper cannot go on.
+    fn refine(&mut self, steps: usize, stop: &AtomicBool) {
+        let mut rounds = self.mapper.rounds();
+        for done in 1..=steps {
+            if stop.load(Ordering::Relaxed)
+                || !self.turn(|worker| worker.mapper.refine(&mut rounds))
+            {
+                return;
+            }
+            self.events.publish(|| SlamEvent::Refined { done, steps });
         }
     }
 

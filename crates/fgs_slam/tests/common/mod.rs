@@ -111,10 +111,15 @@ pub fn picture(
     rasterizer.render(gaussians, &view).rendered().color.clone()
 }
 
-/// How well the map shows a tracked frame, seen from the frame's estimated pose.
-pub fn psnr_of_map_db(output: &SlamOutput, sequence: &Sequence, index: usize) -> f64 {
+/// How well a map shows a tracked frame, seen from the frame's estimated pose.
+pub fn psnr_of_map_db(
+    output: &SlamOutput,
+    gaussians: &Gaussians,
+    sequence: &Sequence,
+    index: usize,
+) -> f64 {
     let pose = output.frames[index].world_from_camera.unwrap();
-    let render = picture(&output.gaussians, sequence, pose);
+    let render = picture(gaussians, sequence, pose);
     psnr_db(&render, &sequence.frame(index).color)
 }
 
