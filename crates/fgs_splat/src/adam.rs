@@ -59,7 +59,7 @@ impl Default for LearningRates {
         Self {
             means: 4e-4,
             quats: 2e-2,
-            log_scales: 2e-2,
+            log_scales: 3e-2,
             opacity_logits: 0.1,
             sh: 2e-2,
         }
