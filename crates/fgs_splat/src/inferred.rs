@@ -1,8 +1,8 @@
 //! Gaussians whose depth was inferred rather than measured yield to what is measured later.
 //!
 //! A guess in front of a measured surface hides it, and keeps it from being seeded, since the map is
-//! opaque there. A guess on the surface is right, and optimised already: seeding such surfaces anew
-//! costs a quarter of a dB. One behind it may belong to something else, which the surface hides.
+//! opaque there. A guess on the surface is right, and optimised already. One behind it may belong to
+//! something else, which the surface hides.
 
 use fgs_geom::{Image, View, has_depth};
 
