@@ -48,7 +48,7 @@ fn interpolated(coarser: &Image<f32>, u: usize, v: usize) -> f32 {
     // The centre of the fine pixel lies a quarter of a coarse one beside the centre of its own.
     let neighbors = |i: usize, size: usize| {
         let own = (i / 2).min(size - 1);
-        let other = if i % 2 == 0 {
+        let other = if i.is_multiple_of(2) {
             own.saturating_sub(1)
         } else {
             (own + 1).min(size - 1)

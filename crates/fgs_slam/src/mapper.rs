@@ -74,12 +74,14 @@ impl Mapper {
         }
     }
 
-    /// Where the map lacks gaussians for a keyframe (M_m).
+    /// Where the map lacks gaussians for a keyframe (M_m), once those are hidden whose inferred depth
+    /// it contradicts.
     ///
     /// # Errors
     /// If the model fails.
     pub fn missing_region(&mut self, keyframe: &Keyframe) -> Result<Image<bool>, MapperError> {
         let (view, frame) = (keyframe.view(), &keyframe.frame);
+        self.model.hide_contradicted(&view, &frame.depth_m)?;
         let missing = missing_region(&mut *self.model, &view, frame, &self.config.seeding)?;
         Ok(missing)
     }

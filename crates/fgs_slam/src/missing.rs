@@ -2,7 +2,8 @@
 //! (paper, Sec. III-A, Eq. 9).
 //!
 //! Input: a rendered view and the frame taken there. Output: M_m = M_i | M_d | M_c. Where no depth
-//! was measured only M_i can tell: what is seeded there has an inferred depth, and fills holes.
+//! was measured only M_i can tell: what is seeded there has an inferred depth, and fills holes
+//! until they are measured.
 //!
 //! Differs from the paper: by default only M_i is used. The optimisation repairs what the other two
 //! find, and the opaque seeds they would plant there cover what it has already learnt.

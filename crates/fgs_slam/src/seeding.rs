@@ -1,7 +1,8 @@
 //! New gaussians from a frame (paper, Sec. III-A, Eq. 10 and 11): small dense disks where the image
 //! has detail, large sparse ones elsewhere, and only in the missing region.
 //!
-//! Where no depth was measured it is inferred from around the hole ([`infer_depth`]).
+//! Where no depth was measured it is inferred from around the hole ([`infer_depth`]), and the gaussian
+//! is marked: it will yield to what is measured there later.
 //!
 //! Differs from the paper: the paper leaves holes empty; a disk lies on the surface where the depth gives a reliable normal, and
 //! is stretched along its tilt so that its image stays round; the paper's faces the camera. Disks
@@ -131,6 +132,8 @@ impl<'a> Seeder<'a> {
         gaussians
             .sh
             .push(rgb.map(|c| ((f64::from(c) / 255.0 - 0.5) / SH0_FACTOR) as f32));
+        let measured = has_depth(self.frame.depth_m.at(u, v));
+        gaussians.inferred.push(!measured);
     }
 }
 
@@ -285,6 +288,8 @@ mod tests {
             let mean = gaussians.means[i].map(f64::from);
             assert!((Vector3::from(mean) - expected).amax() <= 1e-5);
         }
+        let expected = (0..gaussians.len()).map(|i| i < 2);
+        assert!(gaussians.inferred.iter().copied().eq(expected));
         // With nothing measured at all there is nothing to infer from.
         frame.depth_m = Image::filled(W, H, 0.0);
         assert_eq!(seeds(&frame).gaussians.len(), 0);

@@ -7,8 +7,10 @@ use std::collections::BTreeMap;
 use fgs_geom::{Image, KeyframeId, Se3, View};
 
 use crate::gaussians::retain;
+use crate::inferred::hide_contradicted;
 use crate::model::{
-    GaussianModel, ModelError, ModelSettings, PruneRule, Seeds, SparseId, StepStats, check_view,
+    GaussianModel, ModelError, ModelSettings, PruneRule, Seeds, SparseId, StepStats, check_image,
+    check_seeds, check_view,
 };
 use crate::rigid_motion::{RigidMotion, by_keyframe, moved, transformed};
 use crate::visibility::VisibleSet;
@@ -76,10 +78,8 @@ impl GaussianModel for CpuModel {
     }
 
     fn insert(&mut self, seeds: &Seeds, anchor: KeyframeId) -> Result<(), ModelError> {
+        check_seeds(seeds)?;
         let count = seeds.sparse_ids.len();
-        if !seeds.gaussians.has_len(count) {
-            return Err(ModelError::RaggedSeeds);
-        }
         self.gaussians.extend(&seeds.gaussians);
         self.sparse_ids.extend(&seeds.sparse_ids);
         self.anchors.extend(std::iter::repeat_n(anchor, count));
@@ -136,6 +136,12 @@ impl GaussianModel for CpuModel {
         for view in self.views.values_mut() {
             view.visible = view.visible.compacted(&new_from_old);
         }
+        Ok(())
+    }
+
+    fn hide_contradicted(&mut self, view: &View, depth_m: &Image<f32>) -> Result<(), ModelError> {
+        check_image(view, depth_m)?;
+        hide_contradicted(&mut self.gaussians, view, depth_m);
         Ok(())
     }
 

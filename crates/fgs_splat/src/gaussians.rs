@@ -29,6 +29,9 @@ pub struct Gaussians<T = f32> {
     pub opacity_logits: Vec<T>,
     /// Colour as spherical harmonics of degree 0, [N, 3].
     pub sh: Vec<[T; 3]>,
+    /// Whether the depth at which a gaussian was seeded is a guess rather than a measurement, `[N]`.
+    /// Not optimised.
+    pub inferred: Vec<bool>,
 }
 
 /// One gaussian in plain quantities.
@@ -65,7 +68,8 @@ impl<T> Gaussians<T> {
             self.log_scales.len(),
             self.opacity_logits.len(),
             self.sh.len(),
-        ] == [len; 5]
+            self.inferred.len(),
+        ] == [len; 6]
     }
 
     /// Keeps the gaussians i with `keep[i]`, in order.
@@ -78,6 +82,7 @@ impl<T> Gaussians<T> {
         retain(&mut self.log_scales, keep);
         retain(&mut self.opacity_logits, keep);
         retain(&mut self.sh, keep);
+        retain(&mut self.inferred, keep);
     }
 }
 
@@ -108,6 +113,7 @@ impl<T: Copy> Gaussians<T> {
         self.log_scales.extend_from_slice(&other.log_scales);
         self.opacity_logits.extend_from_slice(&other.opacity_logits);
         self.sh.extend_from_slice(&other.sh);
+        self.inferred.extend_from_slice(&other.inferred);
     }
 }
 
@@ -126,11 +132,12 @@ impl<T: Clone + Default> Gaussians<T> {
         self.log_scales.resize(len, Default::default());
         self.opacity_logits.resize(len, Default::default());
         self.sh.resize(len, Default::default());
+        self.inferred.resize(len, false);
     }
 }
 
 impl<T: RealField + Copy> Gaussians<T> {
-    /// Appends a gaussian. Its opacity is clamped to 1e-6 from 0 and 1, its scales to at least
+    /// Appends a gaussian, not an inferred one. Its opacity is clamped to 1e-6 from 0 and 1, its scales to at least
     /// 1e-12 m.
     pub fn push(&mut self, gaussian: &Gaussian<T>) {
         let [min_opacity, min_scale, factor] =
@@ -144,6 +151,7 @@ impl<T: RealField + Copy> Gaussians<T> {
         self.opacity_logits
             .push((opacity / (T::one() - opacity)).ln());
         self.sh.push(gaussian.rgb.map(|c| (c - half) / factor));
+        self.inferred.push(false);
     }
 
     /// Opacity of gaussian i, 0 to 1.
@@ -229,10 +237,12 @@ mod tests {
         for i in 0..5 {
             gaussians.push(&gaussian(f64::from(i)));
         }
+        gaussians.inferred[1] = true;
         let mut kept = Gaussians::default();
         for i in [1, 2, 4] {
             kept.push(&gaussian(f64::from(i)));
         }
+        kept.inferred[0] = true;
         let all = gaussians.clone();
         gaussians.retain(&[false, true, true, false, true]);
         assert_eq!(gaussians, kept);

@@ -11,6 +11,7 @@ mod gaussians;
 #[cfg(feature = "gpu")]
 mod gpu;
 mod gpu_error;
+mod inferred;
 mod kernel;
 mod losses;
 mod model;

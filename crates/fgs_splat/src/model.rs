@@ -20,7 +20,7 @@ pub struct SparseId(pub u32);
 pub struct Seeds {
     /// Their parameters.
     pub gaussians: Gaussians,
-    /// Ids of those that are part of the sparse map, `[N]`.
+    /// Ids of those that are part of the sparse map, `[N]`. Their depth is measured, not inferred.
     pub sparse_ids: Vec<Option<SparseId>>,
 }
 
@@ -70,20 +70,23 @@ pub enum ModelError {
     /// A keyframe's motion is not finite in single precision.
     #[error("the motion of keyframe {} is not finite", .0.0)]
     NotFinite(KeyframeId),
-    /// The target's size differs from the view's.
+    /// A measured image's size differs from the view's.
     #[error(
-        "the view has {}x{} pixels, but its target has {}x{}",
+        "the view has {}x{} pixels, but the image measured there has {}x{}",
         .expected.0, .expected.1, .actual.0, .actual.1
     )]
-    TargetSize {
+    ImageSize {
         /// Width and height of the view's camera, pixels.
         expected: (usize, usize),
-        /// Width and height of the target, pixels.
+        /// Width and height of the image, pixels.
         actual: (usize, usize),
     },
     /// The seeds' arrays have different lengths.
     #[error("the seeds' arrays have different lengths")]
     RaggedSeeds,
+    /// A seed of the sparse map has an inferred depth.
+    #[error("a seed of the sparse map has an inferred depth")]
+    InferredSparseSeed,
     /// The loss cannot be computed, for example because a rendered value is out of range.
     #[error(transparent)]
     Loss(#[from] LossError),
@@ -123,7 +126,7 @@ pub trait GaussianModel: Send {
     /// Adds gaussians anchored to a keyframe. The keyframe need not have a view.
     ///
     /// # Errors
-    /// If the seeds' arrays differ in length, or the device fails.
+    /// If the seeds' arrays differ in length, one of the sparse map is inferred, or the device fails.
     fn insert(&mut self, seeds: &Seeds, anchor: KeyframeId) -> Result<(), ModelError>;
 
     /// Moves some keyframes: the gaussians anchored to them and their views, if they have any. Each
@@ -144,6 +147,14 @@ pub trait GaussianModel: Send {
     /// # Errors
     /// If the device fails.
     fn prune(&mut self, rule: &PruneRule) -> Result<(), ModelError>;
+
+    /// Hides the inferred gaussians that a measured depth image contradicts: whose depth is more than
+    /// 5 % below the one measured at their centre's pixel. Their opacity becomes zero, so that no view
+    /// shows them and pruning removes them. `depth_m` has the view's size; metres.
+    ///
+    /// # Errors
+    /// If the depth image's size is not the view's, or the device fails.
+    fn hide_contradicted(&mut self, view: &View, depth_m: &Image<f32>) -> Result<(), ModelError>;
 
     /// Renders colour, depth and alpha.
     ///
@@ -204,15 +215,37 @@ pub(crate) fn check_view(
     view: &View,
     target: &Target,
 ) -> Result<(), ModelError> {
-    let expected = (view.camera.width, view.camera.height);
-    let actual = (target.color().width(), target.color().height());
     if exists {
-        Err(ModelError::ViewExists(id))
-    } else if expected != actual {
-        Err(ModelError::TargetSize { expected, actual })
-    } else {
-        Ok(())
+        return Err(ModelError::ViewExists(id));
     }
+    check_image(view, target.color())
+}
+
+/// Rejects an image of another size than the view's.
+pub(crate) fn check_image<T>(view: &View, image: &Image<T>) -> Result<(), ModelError> {
+    let expected = (view.camera.width, view.camera.height);
+    let actual = (image.width(), image.height());
+    if expected == actual {
+        Ok(())
+    } else {
+        Err(ModelError::ImageSize { expected, actual })
+    }
+}
+
+/// Rejects seeds whose arrays differ in length, and inferred ones of the sparse map.
+pub(crate) fn check_seeds(seeds: &Seeds) -> Result<(), ModelError> {
+    let Seeds {
+        gaussians,
+        sparse_ids,
+    } = seeds;
+    if !gaussians.has_len(sparse_ids.len()) {
+        return Err(ModelError::RaggedSeeds);
+    }
+    let mut both = sparse_ids.iter().zip(&gaussians.inferred);
+    if both.any(|(id, inferred)| id.is_some() && *inferred) {
+        return Err(ModelError::InferredSparseSeed);
+    }
+    Ok(())
 }
 
 #[cfg(test)]

@@ -3,7 +3,9 @@
 //!
 //! Element `vertex` has the float properties `x y z nx ny nz f_dc_0..2 opacity scale_0..2 rot_0..3`:
 //! the stored parameters (metres, logits, log-scales, wxyz), so that a file reads back bit for bit.
-//! The normal is the gaussian's flat axis, for point-cloud viewers. Files are written atomically.
+//! The normal is the gaussian's flat axis, for point-cloud viewers. A last property, uchar `inferred`,
+//! is 1 where the gaussian's depth was a guess; files without it have none. Files are written
+//! atomically.
 //! No file makes the reader panic or take more memory than a small multiple of the file's size,
 //! whatever its header says.
 
@@ -25,6 +27,9 @@ const PROPERTIES: [&str; 17] = [
 ];
 /// The normal in [`PROPERTIES`]: the only optional ones.
 const NORMAL: std::ops::Range<usize> = 3..6;
+
+/// The only property that is not a float, and optional.
+const INFERRED: &str = "inferred";
 
 /// Real headers have some 70 lines. The limit stops a file of another kind from being read as an
 /// endless header.
@@ -194,15 +199,22 @@ fn header(vertices: usize) -> Header {
             .properties
             .add(PropertyDef::new(name.to_owned(), float));
     }
+    let inferred = PropertyType::Scalar(ScalarType::UChar);
+    element
+        .properties
+        .add(PropertyDef::new(INFERRED.to_owned(), inferred));
     let mut header = Header::new();
     header.encoding = Encoding::BinaryLittleEndian;
     header.elements.add(element);
     header
 }
 
-/// Values in the order of [`PROPERTIES`].
 #[derive(Clone, Copy)]
-struct Vertex([f32; PROPERTIES.len()]);
+struct Vertex {
+    /// In the order of [`PROPERTIES`].
+    values: [f32; PROPERTIES.len()],
+    inferred: bool,
+}
 
 impl Vertex {
     fn of(gaussians: &Gaussians, i: usize) -> Self {
@@ -212,9 +224,12 @@ impl Vertex {
         let opacity = gaussians.opacity_logits[i];
         let [s0, s1, s2] = gaussians.log_scales[i];
         let [qw, qx, qy, qz] = gaussians.quats[i];
-        Self([
-            x, y, z, nx, ny, nz, red, green, blue, opacity, s0, s1, s2, qw, qx, qy, qz,
-        ])
+        Self {
+            values: [
+                x, y, z, nx, ny, nz, red, green, blue, opacity, s0, s1, s2, qw, qx, qy, qz,
+            ],
+            inferred: gaussians.inferred[i],
+        }
     }
 
     fn push_to(&self, gaussians: &mut Gaussians) {
@@ -236,16 +251,17 @@ impl Vertex {
             qx,
             qy,
             qz,
-        ] = self.0;
+        ] = self.values;
         gaussians.means.push([x, y, z]);
         gaussians.sh.push([red, green, blue]);
         gaussians.opacity_logits.push(opacity);
         gaussians.log_scales.push([s0, s1, s2]);
         gaussians.quats.push([qw, qx, qy, qz]);
+        gaussians.inferred.push(self.inferred);
     }
 
     fn check_finite(&self, path: &Path, vertex: usize) -> Result<(), PlyError> {
-        for (slot, (property, value)) in PROPERTIES.into_iter().zip(self.0).enumerate() {
+        for (slot, (property, value)) in PROPERTIES.into_iter().zip(self.values).enumerate() {
             if !value.is_finite() && !NORMAL.contains(&slot) {
                 return Err(PlyError::NotFinite {
                     path: path.to_owned(),
@@ -261,13 +277,16 @@ impl Vertex {
 
 impl PropertyAccess for Vertex {
     fn new() -> Self {
-        Self([0.0; PROPERTIES.len()])
+        Self {
+            values: [0.0; PROPERTIES.len()],
+            inferred: false,
+        }
     }
 
     fn set_float(&mut self, name: &str, value: f32) -> PropertyAccessResult {
         match PROPERTIES.iter().position(|property| *property == name) {
             Some(slot) => {
-                self.0[slot] = value;
+                self.values[slot] = value;
                 PropertyAccessResult::Set
             }
             None => PropertyAccessResult::Ignored,
@@ -280,7 +299,19 @@ impl PropertyAccess for Vertex {
 
     fn get_float(&self, name: &str) -> Option<f32> {
         let slot = PROPERTIES.iter().position(|property| *property == name)?;
-        Some(self.0[slot])
+        Some(self.values[slot])
+    }
+
+    fn set_uchar(&mut self, name: &str, value: u8) -> PropertyAccessResult {
+        if name != INFERRED {
+            return PropertyAccessResult::Ignored;
+        }
+        self.inferred = value != 0;
+        PropertyAccessResult::Set
+    }
+
+    fn get_uchar(&self, name: &str) -> Option<u8> {
+        (name == INFERRED).then_some(self.inferred.into())
     }
 }
 

@@ -174,7 +174,7 @@ fn wrong_calls_are_refused() {
     let refused = model.add_view(id, view(0.0), small);
     assert!(matches!(
         refused,
-        Err(ModelError::TargetSize { actual: (3, 2), .. })
+        Err(ModelError::ImageSize { actual: (3, 2), .. })
     ));
     // A dropped view may be added again.
     model.add_view(id, view(0.0), target()).unwrap();

@@ -4,13 +4,13 @@
 //! Motions and prunings submitted after a step that turns out to be void are void too; `work_queue`
 //! resubmits them.
 
-use fgs_geom::KeyframeId;
+use fgs_geom::{Image, KeyframeId, View};
 
 use super::buffers::Buffers;
 use super::device::GpuDevice;
-use super::layout::{self, Count, Gaussian, NONE};
+use super::layout::{self, Count, Gaussian, INFERRED, NONE};
 use super::parameters::{from_device, to_device};
-use super::passes::{groups, workgroups};
+use super::passes::{groups, view_uniform, workgroups};
 use super::readback::{Arrival, Landing, read};
 use super::recorder::{Groups, Recorder};
 use super::timer::StageTimer;
@@ -134,6 +134,23 @@ impl DeviceMap {
         Ok(())
     }
 
+    /// Hides the inferred gaussians that a depth image of the view's size contradicts. Nothing may be
+    /// in flight.
+    ///
+    /// # Errors
+    /// If the device fails.
+    pub fn hide_contradicted(&mut self, view: &View, depth_m: &Image<f32>) -> Result<(), GpuError> {
+        let uniform = view_uniform(view, self.count, self.buffers.entries());
+        self.write("view", bytemuck::bytes_of(&uniform))?;
+        let buffer = self.device.buffer_of("depth_m", depth_m.data());
+        self.buffers.replace("depth_m", buffer);
+        let by_gaussian = groups(self.count);
+        let mut recorder = self.recorder(None);
+        recorder.run("hide_contradicted", by_gaussian)?;
+        recorder.submit();
+        self.device.check()
+    }
+
     /// Submits a pruning. Survivors are compacted to the front; the removed gaussians stay behind
     /// them, never drawn, until [`DeviceMap::finish_pruning`] learns how many survived.
     ///
@@ -186,7 +203,8 @@ impl DeviceMap {
             .take(&self.device, bytemuck::pod_collect_to_vec::<u8, u32>)?;
         let (counts, ids) = words.split_at(Count::ALL.len());
         let kept = counts[Count::KEPT as usize] as usize;
-        let removed = ids[..ids.len() - kept].iter().filter(|id| **id != NONE);
+        let ids = ids[..ids.len() - kept].iter();
+        let removed = ids.filter(|id| ![NONE, INFERRED].contains(id));
         let (rows, _) = pruning
             .gaussians
             .take(&self.device, bytemuck::pod_collect_to_vec::<u8, Gaussian>)?;

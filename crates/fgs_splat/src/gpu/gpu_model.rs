@@ -16,7 +16,8 @@ use super::training_views::{TrainingView, TrainingViews};
 use super::work_queue::{Work, WorkQueue};
 use crate::GpuError;
 use crate::model::{
-    GaussianModel, ModelError, ModelSettings, PruneRule, Seeds, SparseId, StepStats, check_view,
+    GaussianModel, ModelError, ModelSettings, PruneRule, Seeds, SparseId, StepStats, check_image,
+    check_seeds, check_view,
 };
 use crate::rigid_motion::by_keyframe;
 use crate::{Gaussians, Rendered, Target};
@@ -153,9 +154,7 @@ impl GaussianModel for GpuModel {
     }
 
     fn insert(&mut self, seeds: &Seeds, anchor: KeyframeId) -> Result<(), ModelError> {
-        if !seeds.gaussians.has_len(seeds.sparse_ids.len()) {
-            return Err(ModelError::RaggedSeeds);
-        }
+        check_seeds(seeds)?;
         self.work.finish()?;
         self.work.map.insert(seeds, anchor)?;
         self.work.last_known.extend(&seeds.gaussians);
@@ -176,6 +175,12 @@ impl GaussianModel for GpuModel {
             return Ok(());
         }
         self.work.push(Work::Prune(*rule))
+    }
+
+    fn hide_contradicted(&mut self, view: &View, depth_m: &Image<f32>) -> Result<(), ModelError> {
+        check_image(view, depth_m)?;
+        self.work.finish()?;
+        Ok(self.work.map.hide_contradicted(view, depth_m)?)
     }
 
     fn render(&mut self, view: &View) -> Result<Rendered, ModelError> {

@@ -9,6 +9,7 @@ use bytemuck::{Pod, Zeroable};
 use crate::adam::{BETA_1, BETA_2, DECAY_STEPS, EPSILON};
 use crate::cpu::{SLACK_PX, WHITEN_SCALE};
 use crate::gaussians::SH0_FACTOR;
+use crate::inferred::{HIDDEN_LOGIT, IN_FRONT};
 use crate::losses::{C1, C2, FLAT_SCALE_M, MAX_LOG_SCALE, MAX_RENDERED, MIN_ALPHA, RADIUS};
 use crate::rendering::{
     ALPHA_MAX, ALPHA_MIN, LOW_PASS_PX2, MAX_MAGNITUDE, MAX_VARIANCE_PX2, MIN_QUAT_NORM2, NEAR_M,
@@ -30,6 +31,9 @@ pub const COPIED_ROWS: u32 = 4;
 pub const MULTIPLY_ADD_ROUNDS: u32 = 256;
 /// Stands for no gaussian, visibility set, anchor or sparse id.
 pub const NONE: u32 = u32::MAX;
+
+/// Stands for a sparse id: not part of the sparse map, and its depth is a guess.
+pub const INFERRED: u32 = u32::MAX - 1;
 
 /// A type of struct fields, with its name in WGSL.
 trait DeviceType {
@@ -130,7 +134,7 @@ device_structs! {
         /// Adam steps taken.
         steps: u32,
         sh: [f32; 3],
-        /// `NONE` if it is not part of the sparse map.
+        /// `NONE` or `INFERRED` if it is not part of the sparse map.
         sparse_id: u32,
     }
 
@@ -318,6 +322,8 @@ pub fn preamble() -> String {
         ("BETA_2", BETA_2),
         ("DECAY_STEPS", DECAY_STEPS),
         ("EPSILON", EPSILON.into()),
+        ("IN_FRONT", IN_FRONT.into()),
+        ("HIDDEN_LOGIT", HIDDEN_LOGIT.into()),
     ] {
         let _ = writeln!(source, "const {name}: f32 = {:?};", value as f32);
     }
@@ -328,6 +334,7 @@ pub fn preamble() -> String {
         ("SIDE", LOSS_SIDE),
         ("RADIUS", RADIUS as u32),
         ("NONE", NONE),
+        ("INFERRED", INFERRED),
         ("MAX_STEPS", u32::MAX - 1),
         ("COPIED_ROWS", COPIED_ROWS),
         ("MULTIPLY_ADD_ROUNDS", MULTIPLY_ADD_ROUNDS),

@@ -4,22 +4,26 @@ use std::collections::BTreeMap;
 
 use fgs_geom::{KeyframeId, Se3};
 
-use super::layout::{Gaussian, Motion, NONE};
+use super::layout::{Gaussian, INFERRED, Motion, NONE};
 use crate::rigid_motion::RigidMotion;
 use crate::{Gaussians, Seeds};
 
 /// New gaussians, with a step count of zero.
 pub fn to_device(seeds: &Seeds) -> Vec<Gaussian> {
     let gaussians = &seeds.gaussians;
-    let ids = seeds.sparse_ids.iter().enumerate();
-    ids.map(|(i, id)| Gaussian {
+    let ids = seeds.sparse_ids.iter().zip(&gaussians.inferred).enumerate();
+    ids.map(|(i, (id, inferred))| Gaussian {
         mean: gaussians.means[i],
         opacity_logit: gaussians.opacity_logits[i],
         quat: gaussians.quats[i],
         log_scales: gaussians.log_scales[i],
         steps: 0,
         sh: gaussians.sh[i],
-        sparse_id: id.map_or(NONE, |id| id.0),
+        sparse_id: match id {
+            Some(id) => id.0,
+            None if *inferred => INFERRED,
+            None => NONE,
+        },
     })
     .collect()
 }
@@ -32,6 +36,7 @@ pub fn from_device(rows: &[Gaussian]) -> Gaussians {
         log_scales: rows.iter().map(|row| row.log_scales).collect(),
         opacity_logits: rows.iter().map(|row| row.opacity_logit).collect(),
         sh: rows.iter().map(|row| row.sh).collect(),
+        inferred: rows.iter().map(|row| row.sparse_id == INFERRED).collect(),
     }
 }
 

@@ -133,6 +133,11 @@ pub const SHADER_FILES: &[ShaderFile] = &[
         ],
     },
     ShaderFile {
+        name: "hide_contradicted",
+        parts: &[PROJECTION, include_str!("shaders/hide_contradicted.wgsl")],
+        entry_points: &["hide_contradicted"],
+    },
+    ShaderFile {
         name: "see_through",
         parts: &[include_str!("shaders/see_through.wgsl")],
         entry_points: &["see_through"],

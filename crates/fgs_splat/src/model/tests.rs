@@ -1,15 +1,15 @@
-//! What every backend promises about anchors and transparency, checked on each available one.
+//! What every backend promises about anchors, transparency and inferred gaussians, checked on each available one.
 
 use fgs_geom::{Image, KeyframeId, Se3, View};
 use nalgebra::{UnitQuaternion, Vector3, Vector6};
 use rand::RngExt;
 
 use super::*;
-use crate::CpuModel;
 use crate::cpu::tests::scenes::{random_gaussians, random_view, rng, to_f32};
 #[cfg(feature = "gpu")]
 use crate::gpu::{GpuModel, tests::device};
 use crate::rigid_motion::{RigidMotion, moved, transformed};
+use crate::{CpuModel, Gaussian};
 
 /// The first keyframe has a view and gaussians, the second only gaussians.
 const FIRST: KeyframeId = KeyframeId(3);
@@ -255,5 +255,71 @@ fn one_sees_through_where_alpha_is_below_the_limit() {
             }
             assert!(counts.iter().all(|count| *count > 50), "{counts:?}");
         }
+    });
+}
+
+#[test]
+fn inferred_gaussians_yield_to_what_is_measured() {
+    let view = random_view(&mut rng(5), 60, 44);
+    // A wall at two metres; nothing measured on the right, in one way or another.
+    let depth_m = Image::from_fn(60, 44, |u, v| match u {
+        0..30 => 2.0,
+        _ => [0.0, f32::NAN, f32::INFINITY, -1.0][v % 4],
+    });
+    // Pixel, depth, whether it is inferred, and whether it is hidden.
+    let cases = [
+        (10.4, 20.0, 0.8, true, true),
+        (29.4, 0.6, 1.88, true, true),
+        (-0.4, 43.4, 1.88, true, true),
+        (10.4, 20.0, 1.92, true, false),
+        (10.4, 20.0, 0.8, false, false),
+        (10.4, 20.0, 2.2, true, false),
+        (29.6, 20.0, 0.8, true, false),
+        (40.0, 20.0, 0.8, true, false),
+        (40.0, 21.0, 0.8, true, false),
+        (40.0, 22.0, 0.8, true, false),
+        (40.0, 23.0, 0.8, true, false),
+        (-0.6, 20.0, 0.8, true, false),
+        (10.0, 43.6, 0.8, true, false),
+        (10.0, -0.6, 0.8, true, false),
+        (10.4, 20.0, -0.8, true, false),
+        (f64::NAN, 20.0, 0.8, true, false),
+    ];
+    let mut seeds = Seeds::default();
+    for (u, v, z, inferred, _) in cases {
+        let point = view.camera.unproject(u, v, z);
+        seeds.gaussians.push(&Gaussian {
+            mean: view.world_from_camera.transform(&point).cast().into(),
+            quat: [1.0, 0.0, 0.0, 0.0],
+            scales: [0.01; 3],
+            opacity: 0.9,
+            rgb: [0.5; 3],
+        });
+        let last = seeds.gaussians.len() - 1;
+        seeds.gaussians.inferred[last] = inferred;
+        seeds.sparse_ids.push((!inferred).then_some(SparseId(7)));
+    }
+    on_each_backend(|new_model| {
+        let mut model = new_model(&ModelSettings::default());
+        model.insert(&seeds, FIRST).unwrap();
+        model.hide_contradicted(&view, &depth_m).unwrap();
+        let after = model.gaussians().unwrap();
+        assert_eq!(after.inferred, cases.map(|case| case.3));
+        let hidden = |i: usize| after.opacity(i) < 1e-6;
+        assert_eq!(std::array::from_fn(hidden), cases.map(|case| case.4));
+        model.prune(&RULE).unwrap();
+        let kept = model.gaussians().unwrap();
+        assert_eq!(kept.opacity_logits, seeds.gaussians.opacity_logits[3..]);
+        assert_eq!(kept.inferred, seeds.gaussians.inferred[3..]);
+        assert_eq!(model.take_removed(), Ok(vec![]));
+
+        let small = model.hide_contradicted(&view, &Image::filled(44, 60, 2.0));
+        assert!(matches!(small, Err(ModelError::ImageSize { .. })));
+        let mut both = seeds.clone();
+        both.sparse_ids[0] = Some(SparseId(1));
+        assert_eq!(
+            model.insert(&both, FIRST),
+            Err(ModelError::InferredSparseSeed)
+        );
     });
 }

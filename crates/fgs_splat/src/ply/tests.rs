@@ -9,22 +9,28 @@ fn random(len: usize) -> Gaussians {
     let mut gaussians = Gaussians::default();
     for _ in 0..len {
         // Any finite bits: denormals, negative zero and huge values come back too.
-        let vertex = Vertex(std::array::from_fn(|_| {
+        let values = std::array::from_fn(|_| {
             loop {
                 let value = f32::from_bits(rng.random());
                 if value.is_finite() {
                     break value;
                 }
             }
-        }));
-        vertex.push_to(&mut gaussians);
+        });
+        let inferred = rng.random();
+        Vertex { values, inferred }.push_to(&mut gaussians);
     }
     gaussians
 }
 
 fn bits(gaussians: &Gaussians) -> Vec<u32> {
-    let vertices = (0..gaussians.len()).map(|i| Vertex::of(gaussians, i).0);
-    vertices.flatten().map(f32::to_bits).collect()
+    let vertices = (0..gaussians.len()).map(|i| Vertex::of(gaussians, i));
+    vertices
+        .flat_map(|vertex| {
+            let values = vertex.values.map(f32::to_bits);
+            values.into_iter().chain([vertex.inferred.into()])
+        })
+        .collect()
 }
 
 fn parse(bytes: &[u8]) -> Result<Gaussians, PlyError> {
@@ -83,6 +89,7 @@ fn layout_is_the_original_one() {
         log_scales: vec![[-4.0, -5.0, -12.0]],
         opacity_logits: vec![4.5],
         sh: vec![[0.1, 0.2, 0.3]],
+        inferred: vec![true],
     };
     write_ply(&path, &gaussians).unwrap();
     let bytes = std::fs::read(&path).unwrap();
@@ -91,12 +98,12 @@ fn layout_is_the_original_one() {
         property float nz\nproperty float f_dc_0\nproperty float f_dc_1\nproperty float f_dc_2\n\
         property float opacity\nproperty float scale_0\nproperty float scale_1\n\
         property float scale_2\nproperty float rot_0\nproperty float rot_1\n\
-        property float rot_2\nproperty float rot_3\nend_header\n";
+        property float rot_2\nproperty float rot_3\nproperty uchar inferred\nend_header\n";
     let values = [
         1.0f32, 2.0, 3.0, 0.0, -1.0, 0.0, 0.1, 0.2, 0.3, 4.5, -4.0, -5.0, -12.0, 2.0, 2.0, 0.0, 0.0,
     ];
     let values = values.map(f32::to_le_bytes);
-    let expected = [header.as_bytes(), values.as_flattened()];
+    let expected = [header.as_bytes(), values.as_flattened(), &[1]];
     assert_eq!(bytes, expected.concat());
 }
 
@@ -108,8 +115,18 @@ fn other_orders_types_and_encodings() {
         log_scales: vec![[-4.0, -5.0, -12.0]],
         opacity_logits: vec![-1.5],
         sh: vec![[0.1, 0.2, 0.3]],
+        inferred: vec![false],
     };
     assert_eq!(parse(text(&SHUFFLED).as_bytes()).unwrap(), expected);
+    // Of another type, `inferred` is not ours.
+    for (kind, value, inferred) in [
+        ("uchar", "1", true),
+        ("uchar", "0", false),
+        ("float", "1", false),
+    ] {
+        let file = text(&[&[(kind, "inferred", value)], &SHUFFLED[..]].concat());
+        assert_eq!(parse(file.as_bytes()).unwrap().inferred, [inferred]);
+    }
     let big_endian = |(kind, _, value): &(&str, &str, &str)| match *kind {
         "uchar" => vec![255],
         "double" => value.parse::<f64>().unwrap().to_be_bytes().to_vec(),
@@ -217,7 +234,7 @@ fn values_that_are_not_finite_are_refused() {
     assert_eq!(folder.path().read_dir().unwrap().count(), 1);
     let mut bytes = std::fs::read(&path).unwrap();
     let len = bytes.len();
-    bytes[len - 4..].copy_from_slice(&f32::NAN.to_le_bytes());
+    bytes[len - 5..len - 1].copy_from_slice(&f32::NAN.to_le_bytes());
     let error = parse(&bytes).unwrap_err();
     assert!(matches!(
         error,

@@ -45,6 +45,7 @@ pub fn random_gaussians(rng: &mut Pcg64Mcg, view: &View, count: usize) -> Gaussi
         gaussians.opacity_logits.push(rng.random_range(-3.0..8.0));
         let sh = std::array::from_fn(|_| (rng.random_range(-0.1..1.0) - 0.5) / SH0_FACTOR);
         gaussians.sh.push(sh);
+        gaussians.inferred.push(false);
     }
     gaussians
 }
@@ -69,6 +70,7 @@ pub fn convert<A: Copy, B>(gaussians: &Gaussians<A>, to: impl Fn(A) -> B + Copy)
         log_scales: gaussians.log_scales.iter().map(|v| v.map(to)).collect(),
         opacity_logits: gaussians.opacity_logits.iter().map(|&v| to(v)).collect(),
         sh: gaussians.sh.iter().map(|v| v.map(to)).collect(),
+        inferred: gaussians.inferred.clone(),
     }
 }
 

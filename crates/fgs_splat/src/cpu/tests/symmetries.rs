@@ -18,6 +18,7 @@ fn permute(gaussians: &Gaussians<f64>, order: &[usize]) -> Gaussians<f64> {
         log_scales: order.iter().map(|&i| gaussians.log_scales[i]).collect(),
         opacity_logits: order.iter().map(|&i| gaussians.opacity_logits[i]).collect(),
         sh: order.iter().map(|&i| gaussians.sh[i]).collect(),
+        inferred: order.iter().map(|&i| gaussians.inferred[i]).collect(),
     }
 }
 

@@ -116,18 +116,13 @@ fn disk_on_axis(depth: f64, opacity: f64, color: [f64; 3]) -> Gaussians<f64> {
         log_scales: vec![[scale.ln(), scale.ln(), (1e-6_f64).ln()]],
         opacity_logits: vec![(opacity / (1.0 - opacity)).ln()],
         sh: vec![color.map(|c| (c - 0.5) / SH0_FACTOR)],
+        inferred: vec![false],
     }
 }
 
 fn join(parts: &[&Gaussians<f64>]) -> Gaussians<f64> {
     let mut all = Gaussians::default();
-    for part in parts {
-        all.means.extend(&part.means);
-        all.quats.extend(&part.quats);
-        all.log_scales.extend(&part.log_scales);
-        all.opacity_logits.extend(&part.opacity_logits);
-        all.sh.extend(&part.sh);
-    }
+    parts.iter().for_each(|part| all.extend(part));
     all
 }
 

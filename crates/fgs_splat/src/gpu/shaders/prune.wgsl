@@ -7,7 +7,7 @@
 // 1 for survivors, else 0; after `move_survivors` the new index, NONE for removed gaussians.
 @group(0) @binding(4) var<storage, read_write> new_from_old: array<u32>;
 @group(0) @binding(5) var<storage, read_write> moved_gaussians: array<Gaussian>;
-// Sparse ids of the removed gaussians, in order; NONE for those without.
+// Sparse ids of the removed gaussians, in order; NONE or INFERRED for those without.
 @group(0) @binding(6) var<storage, read_write> removed_ids: array<u32>;
 // One of Adam's two moments, before and after.
 @group(0) @binding(7) var<storage, read> rows: array<array<vec4<f32>, 4>>;
@@ -88,7 +88,7 @@ fn move_survivors(
         let behind = index - place;
         removed_ids[behind] = gaussian.sparse_id;
         gaussian.sparse_id = NONE;
-        gaussian.opacity_logit = -80.0;
+        gaussian.opacity_logit = HIDDEN_LOGIT;
         moved_gaussians[counts[KEPT] + behind] = gaussian;
         moved_anchors[counts[KEPT] + behind] = NONE;
         new_from_old[index] = NONE;

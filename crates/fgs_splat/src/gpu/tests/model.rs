@@ -442,6 +442,37 @@ fn prunings_that_overtake_their_reports_remove_each_gaussian_once() {
 }
 
 #[test]
+fn the_same_inferred_gaussians_are_hidden_as_on_the_cpu() {
+    let Some((mut world, mut gpu, mut cpu)) = models(3000, &ModelSettings::default()) else {
+        return;
+    };
+    let inferred = &mut world.gaussians.inferred;
+    (0..inferred.len()).for_each(|i| inferred[i] = i % 3 == 1);
+    let view = world.views[1].0;
+    let models: [&mut dyn GaussianModel; 2] = [&mut gpu, &mut cpu];
+    let [on_gpu, on_cpu] = models.map(|model| {
+        model.insert(&seeds(&world.gaussians), IDS[0]).unwrap();
+        let target = world.views[0].1.clone();
+        model.add_view(IDS[0], world.views[0].0, target).unwrap();
+        model.prune(&RULE).unwrap();
+        // The device learns of the survivors later.
+        let depth_m = random_target(&mut rng(8), &view).depth_m().clone();
+        model.hide_contradicted(&view, &depth_m).unwrap();
+        let hidden = model.gaussians().unwrap();
+        model.step(IDS[0]).unwrap();
+        model.prune(&RULE).unwrap();
+        (hidden, model.gaussians().unwrap())
+    });
+    assert!(on_gpu.0 == on_cpu.0);
+    let is_hidden = |logit: &&f32| **logit < -70.0;
+    let hidden = on_cpu.0.opacity_logits.iter().filter(is_hidden).count();
+    assert!((50..500).contains(&hidden), "{hidden}");
+    assert_eq!(on_gpu.1.inferred, on_cpu.1.inferred);
+    let left = on_cpu.1.inferred.iter().filter(|inferred| **inferred);
+    assert!(left.count() > 100);
+}
+
+#[test]
 fn views_within_the_budget_stay_on_the_device_with_their_bindings() {
     let (Some(device), world) = (device(), world(50)) else {
         return;
@@ -703,7 +734,7 @@ fn refusals_are_the_cpus() {
     let small = random_target(&mut rng(1), &random_view(&mut rng(2), 5, 4));
     let (view, target) = &world.views[0];
     let refused = gpu.add_view(IDS[0], *view, small);
-    assert!(matches!(refused, Err(ModelError::TargetSize { .. })));
+    assert!(matches!(refused, Err(ModelError::ImageSize { .. })));
     let again = gpu.add_view(IDS[1], *view, target.clone());
     assert_eq!(again, Err(ModelError::ViewExists(IDS[1])));
     let mut ragged = seeds(&world.gaussians);
