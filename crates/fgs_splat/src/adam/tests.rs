@@ -5,7 +5,7 @@ use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 
 const RATES: [f32; 14] = [
-    4e-4, 4e-4, 4e-4, 2e-2, 2e-2, 2e-2, 2e-2, 1e-2, 1e-2, 1e-2, 0.04, 2e-2, 2e-2, 2e-2,
+    4e-4, 4e-4, 4e-4, 2e-2, 2e-2, 2e-2, 2e-2, 3e-2, 3e-2, 3e-2, 0.1, 2e-2, 2e-2, 2e-2,
 ];
 
 /// All parameters of gaussian i, in the order of [`RATES`].
