@@ -24,6 +24,9 @@ VARIANTS = {
     "covisible keyframes: 0.7": ["mapping.covisible_probability=0.7"],
     "depth: not normalised": ["mapping.loss.normalize_depth=false"],
     "colour: only where depth is": ["mapping.loss.mask_color_by_depth=true"],
+    "holes: left empty": ["seeding.fill_holes=false"],
+    "tracking: depth alone": ["tracking.color=false"],
+    "slower shapes and opacities": ["mapping.learning_rates.log_scales=1e-2", "mapping.learning_rates.opacity_logits=0.04"],
 }
 COLUMNS = ["psnr_valid_depth_db", "psnr_db", "psnr_heldout_db", "ssim", "depth_l1_m", "ate_rmse_m", "frames_lost", "num_gaussians", "fps"]
 
