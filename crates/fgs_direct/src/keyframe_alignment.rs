@@ -257,6 +257,8 @@ impl System {
 
 #[cfg(test)]
 mod tests {
+    use fgs_geom::RgbdFrame;
+
     use super::*;
     use crate::test_scene::Scene;
 
@@ -266,18 +268,25 @@ mod tests {
         Se3::exp(&Vector6::new(0.01, -0.015, 0.008, 0.02, -0.01, 0.015))
     }
 
+    fn reference(keyframe: &RgbdFrame) -> Reference {
+        let pyramid = IntensityPyramid::of_frame(keyframe, LEVELS);
+        Reference::new(&pyramid, &keyframe.depth_m, &keyframe.camera)
+    }
+
+    fn at_origin(reference: &Reference) -> PosedReference<'_> {
+        PosedReference {
+            reference,
+            world_from_reference: Se3::identity(),
+        }
+    }
+
     /// The pose found for a frame at [`offset`] from a keyframe at the origin.
     fn found(scene: &Scene, gain: f64, brighter: f64, prior: &PosePrior) -> PhotometricAlignment {
         let keyframe = scene.frame(&Se3::identity(), 1.0, 0.0);
-        let pyramid = IntensityPyramid::of_frame(&keyframe, LEVELS);
-        let reference = Reference::new(&pyramid, &keyframe.depth_m, &keyframe.camera);
+        let reference = reference(&keyframe);
         let frame = scene.frame(&offset(), gain, brighter);
         let pyramid = IntensityPyramid::of_frame(&frame, LEVELS);
-        let posed = PosedReference {
-            reference: &reference,
-            world_from_reference: Se3::identity(),
-        };
-        align_with_keyframes(&pyramid, &[posed], prior).unwrap()
+        align_with_keyframes(&pyramid, &[at_origin(&reference)], prior).unwrap()
     }
 
     fn unknown() -> PosePrior {
@@ -354,19 +363,14 @@ mod tests {
     fn brightness_that_contradicts_the_prior_is_not_believed() {
         let scene = Scene::new(7, true);
         let keyframe = scene.frame(&Se3::identity(), 1.0, 0.0);
-        let pyramid = IntensityPyramid::of_frame(&keyframe, LEVELS);
-        let reference = Reference::new(&pyramid, &keyframe.depth_m, &keyframe.camera);
+        let reference = reference(&keyframe);
         let frame = IntensityPyramid::of_frame(&scene.frame(&offset(), 1.0, 0.0), LEVELS);
         let aligned = |sigma: f64| {
-            let posed = PosedReference {
-                reference: &reference,
-                world_from_reference: Se3::identity(),
-            };
             let prior = PosePrior {
                 information: Matrix6::identity() * sigma.powi(-2),
                 ..unknown()
             };
-            align_with_keyframes(&frame, &[posed], &prior)
+            align_with_keyframes(&frame, &[at_origin(&reference)], &prior)
         };
         // The offset has a norm of 0.034: one standard deviation, and more than twenty.
         assert!(aligned(0.03).is_some() && aligned(0.0013).is_none());
@@ -377,12 +381,8 @@ mod tests {
         let scene = Scene::new(6, true);
         let blank = scene.frame(&Se3::identity(), 0.0, 0.5);
         let pyramid = IntensityPyramid::of_frame(&blank, LEVELS);
-        let reference = Reference::new(&pyramid, &blank.depth_m, &blank.camera);
-        let posed = PosedReference {
-            reference: &reference,
-            world_from_reference: Se3::identity(),
-        };
-        assert!(align_with_keyframes(&pyramid, &[posed], &unknown()).is_none());
+        let reference = reference(&blank);
+        assert!(align_with_keyframes(&pyramid, &[at_origin(&reference)], &unknown()).is_none());
         assert!(align_with_keyframes(&pyramid, &[], &unknown()).is_none());
     }
 }

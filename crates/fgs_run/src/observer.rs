@@ -34,8 +34,8 @@ pub enum RunEvent<'a> {
     },
 }
 
-/// Sees every event, in order. While frames are tracked and the map is refined it is called on another thread than the one
-/// that tracks: a slow observer does not slow the run.
+/// Sees every event, in order. While frames are tracked and the map is refined it is called on another
+/// thread than the one that tracks: a slow observer does not slow the run.
 pub trait RunObserver {
     /// Called for each event.
     fn on(&mut self, event: &RunEvent<'_>);

@@ -81,7 +81,9 @@ impl Mapper {
     /// If the model fails.
     pub fn missing_region(&mut self, keyframe: &Keyframe) -> Result<Image<bool>, MapperError> {
         let (view, frame) = (keyframe.view(), &keyframe.frame);
-        self.model.hide_contradicted(&view, &frame.depth_m)?;
+        if self.config.seeding.fill_holes {
+            self.model.hide_contradicted(&view, &frame.depth_m)?;
+        }
         let missing = missing_region(&mut *self.model, &view, frame, &self.config.seeding)?;
         Ok(missing)
     }

@@ -22,8 +22,8 @@ pub struct RefinedMap {
     pub duration: Duration,
 }
 
-/// Draws views in rounds: each round is a random order of all of them, so that
-/// all are drawn equally often up to one. The same seed and views give the same draws.
+/// Draws views in rounds: each round is a random order of all of them, so that all are drawn equally
+/// often up to one. The same seed and views give the same draws.
 pub struct Rounds {
     rng: Pcg64Mcg,
     views: Vec<KeyframeId>,

@@ -1,12 +1,12 @@
 //! New gaussians from a frame (paper, Sec. III-A, Eq. 10 and 11): small dense disks where the image
 //! has detail, large sparse ones elsewhere, and only in the missing region.
 //!
-//! Where no depth was measured it is inferred from around the hole ([`infer_depth`]), and the gaussian
-//! is marked: it will yield to what is measured there later.
+//! Where no depth was measured it is inferred from around the hole ([`infer_depth`]), and the
+//! gaussian is marked: it will yield to what is measured there later.
 //!
-//! Differs from the paper: the paper leaves holes empty; a disk lies on the surface where the depth gives a reliable normal, and
-//! is stretched along its tilt so that its image stays round; the paper's faces the camera. Disks
-//! are a fifth smaller than the paper's, which blur what they cover.
+//! Differs from the paper: the paper leaves holes empty; a disk lies on the surface where the depth
+//! gives a reliable normal, and is stretched along its tilt so that its image stays round; the
+//! paper's faces the camera. Disks are a fifth smaller than the paper's, which blur what they cover.
 
 use fgs_geom::{Image, RgbdFrame, Se3, has_depth};
 use fgs_gicp::DepthGrid;
@@ -63,7 +63,9 @@ impl<'a> Seeder<'a> {
         for point in new_points {
             sparse.set(point.u, point.v, Some(point.id));
         }
-        let depth_m = infer_depth(&self.frame.depth_m);
+        let measured_m = &self.frame.depth_m;
+        let filled_m = self.config.fill_holes.then(|| infer_depth(measured_m));
+        let depth_m = filled_m.as_ref().unwrap_or(measured_m);
         let mut seeds = Seeds::default();
         for v in 0..height {
             for u in 0..width {
