@@ -27,7 +27,8 @@ const MAX_PIXELS: usize = 100_000_000;
 /// coordinates), `depth_scale` (raw depth value of 1 m) and, for distorted images,
 /// `distortion = [k1, k2, p1, p2, k3]`; where depth is not quite where and when colour is,
 /// `depth_delay_secs` (`fgs doctor` measures it) and `color_from_depth = [tx, ty, tz, qx, qy, qz, qw]`
-/// (metres), see [`DepthSensor`]. Unknown keys are rejected.
+/// (metres), see [`DepthSensor`]; for rolling shutters `color_readout_secs` and `depth_readout_secs`,
+/// from the first row to the last. Unknown keys are rejected.
 #[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
 #[serde(try_from = "Keys", into = "Keys")]
 pub struct CameraFile {
@@ -35,6 +36,7 @@ pub struct CameraFile {
     distortion: Option<Distortion>,
     depth_scale: f64,
     depth_sensor: DepthSensor,
+    color_readout_secs: f64,
 }
 
 #[derive(Deserialize, Serialize)]
@@ -53,6 +55,10 @@ struct Keys {
     depth_delay_secs: f64,
     #[serde(skip_serializing_if = "Option::is_none")]
     color_from_depth: Option<[f64; 7]>,
+    #[serde(default, skip_serializing_if = "is_zero")]
+    color_readout_secs: f64,
+    #[serde(default, skip_serializing_if = "is_zero")]
+    depth_readout_secs: f64,
 }
 
 #[expect(clippy::trivially_copy_pass_by_ref, reason = "serde's signature")]
@@ -111,11 +117,12 @@ impl CameraFile {
             distortion: distortion.map(Distortion::from_array),
             depth_scale,
             depth_sensor: DepthSensor::default(),
+            color_readout_secs: 0.0,
         })
     }
 
     /// The same camera with its depth sensor elsewhere in space or time: delays up to 1 s, shifts up
-    /// to 1 m.
+    /// to 1 m, a readout of up to 0.2 s.
     ///
     /// # Errors
     /// If a value is out of range.
@@ -127,7 +134,20 @@ impl CameraFile {
         if !(0.0..=1.0).contains(&shift_m) {
             return refuse("color_from_depth", shift_m, "a shift of up to 1 m");
         }
+        check_readout("depth_readout_secs", sensor.readout_secs)?;
         self.depth_sensor = sensor;
+        Ok(self)
+    }
+
+    /// The same camera with a rolling shutter: see [`RgbdFrame::color_readout_secs`], up to 0.2 s.
+    ///
+    /// [`RgbdFrame::color_readout_secs`]: fgs_geom::RgbdFrame::color_readout_secs
+    ///
+    /// # Errors
+    /// If the value is out of range.
+    pub fn with_color_readout(mut self, readout_secs: f64) -> Result<Self, CameraError> {
+        check_readout("color_readout_secs", readout_secs)?;
+        self.color_readout_secs = readout_secs;
         Ok(self)
     }
 
@@ -190,6 +210,8 @@ impl CameraFile {
             distortion: None,
             depth_delay_secs: 0.0,
             color_from_depth: None,
+            color_readout_secs: 0.0,
+            depth_readout_secs: 0.0,
         }
         .checked(path)
     }
@@ -212,6 +234,11 @@ impl CameraFile {
     /// Where and when depth is measured, as seen from the colour camera.
     pub fn depth_sensor(&self) -> &DepthSensor {
         &self.depth_sensor
+    }
+
+    /// How long the colour camera takes to read its rows, seconds; 0 for a global shutter.
+    pub fn color_readout_secs(&self) -> f64 {
+        self.color_readout_secs
     }
 }
 
@@ -247,10 +274,13 @@ impl TryFrom<Keys> for CameraFile {
                     expected: "tx, ty, tz, qx, qy, qz, qw, a quaternion of length 1".into(),
                 })?,
         };
-        Self::new(camera, keys.distortion, keys.depth_scale)?.with_depth_sensor(DepthSensor {
-            delay_secs: keys.depth_delay_secs,
-            color_from_depth,
-        })
+        Self::new(camera, keys.distortion, keys.depth_scale)?
+            .with_depth_sensor(DepthSensor {
+                delay_secs: keys.depth_delay_secs,
+                color_from_depth,
+                readout_secs: keys.depth_readout_secs,
+            })?
+            .with_color_readout(keys.color_readout_secs)
     }
 }
 
@@ -272,8 +302,21 @@ impl From<CameraFile> for Keys {
                 let (t, q) = (pose.translation, pose.rotation.quaternion());
                 [t.x, t.y, t.z, q.i, q.j, q.k, q.w]
             }),
+            color_readout_secs: file.color_readout_secs,
+            depth_readout_secs: file.depth_sensor.readout_secs,
         }
     }
+}
+
+fn check_readout(key: &'static str, readout_secs: f64) -> Result<(), CameraError> {
+    if (-0.2..=0.2).contains(&readout_secs) {
+        return Ok(());
+    }
+    Err(CameraError {
+        key,
+        value: readout_secs,
+        expected: "-0.2 to 0.2 s".into(),
+    })
 }
 
 fn refuse(key: &'static str, value: f64, expected: &str) -> Result<CameraFile, CameraError> {
@@ -329,11 +372,13 @@ mod tests {
     #[test]
     fn a_depth_sensor_is_read_and_written() {
         let text = format!(
-            "{GOOD}depth_delay_secs = -0.012\ncolor_from_depth = [0.01, 0.0, 0.0, 0.0, 0.6, 0.0, 0.8]\n"
+            "{GOOD}depth_delay_secs = -0.012\ncolor_from_depth = [0.01, 0.0, 0.0, 0.0, 0.6, 0.0, 0.8]\n\
+             depth_readout_secs = 0.031\ncolor_readout_secs = 0.027\n"
         );
         let file = CameraFile::parse(&text, Path::new("camera.toml")).unwrap();
         let sensor = file.depth_sensor();
-        assert_eq!(sensor.delay_secs, -0.012);
+        assert_eq!((sensor.delay_secs, sensor.readout_secs), (-0.012, 0.031));
+        assert_eq!(file.color_readout_secs(), 0.027);
         assert_eq!(sensor.color_from_depth.translation.x, 0.01);
         assert!((sensor.color_from_depth.rotation.j - 0.6).abs() <= 1e-15);
         let written = toml::to_string(&file).unwrap();
@@ -343,6 +388,8 @@ mod tests {
             ("-0.012", "nan", "depth_delay_secs"),
             ("-0.012", "-1.5", "depth_delay_secs"),
             ("[0.01", "[5.0", "color_from_depth"),
+            ("0.031", "31.0", "depth_readout_secs"),
+            ("0.027", "nan", "color_readout_secs"),
             ("0.6, 0.0, 0.8", "0.0, 0.0, 0.0", "color_from_depth"),
         ] {
             let refused = refusal(&text.replace(from, to));

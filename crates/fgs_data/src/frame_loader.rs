@@ -3,9 +3,7 @@
 
 use std::sync::Arc;
 
-use fgs_geom::{
-    Camera, DepthSensor, FrameIndex, Image, RgbdFrame, UndistortionMap, depth_from_raw,
-};
+use fgs_geom::{Camera, DepthSensor, FrameIndex, Image, PixelMap, RgbdFrame, depth_from_raw};
 
 use crate::formats::FrameFiles;
 use crate::images::{read_color, read_depth};
@@ -15,12 +13,13 @@ use crate::{CameraFile, DataError};
 pub(crate) struct FrameLoader {
     frames: Vec<FrameFiles>,
     camera: Camera,
-    undistortion: Option<UndistortionMap>,
+    undistortion: Option<PixelMap>,
     /// Shared by all frames; `None` if every pixel of an undistorted image has a source.
     color_valid: Option<Arc<Image<bool>>>,
     depth_scale: f32,
     no_depth: u16,
     depth_sensor: DepthSensor,
+    color_readout_secs: f64,
 }
 
 impl FrameLoader {
@@ -28,8 +27,8 @@ impl FrameLoader {
         let camera = *camera_file.camera();
         let undistortion = camera_file
             .distortion()
-            .map(|lens| UndistortionMap::new(&camera, lens));
-        let color_valid = undistortion.as_ref().map(UndistortionMap::color_valid);
+            .map(|lens| lens.undistortion(&camera));
+        let color_valid = undistortion.as_ref().map(PixelMap::color_valid);
         Self {
             frames,
             camera,
@@ -40,6 +39,7 @@ impl FrameLoader {
             depth_scale: camera_file.depth_scale() as f32,
             no_depth,
             depth_sensor: *camera_file.depth_sensor(),
+            color_readout_secs: camera_file.color_readout_secs(),
         }
     }
 
@@ -77,6 +77,7 @@ impl FrameLoader {
         }
         .map_err(|source| DataError::Frame { index, source })?;
         frame.depth_sensor = self.depth_sensor;
+        frame.color_readout_secs = self.color_readout_secs;
         Ok(frame)
     }
 }

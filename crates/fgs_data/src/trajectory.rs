@@ -8,6 +8,7 @@ use std::io::Write;
 use std::path::Path;
 
 use fgs_geom::Se3;
+use nalgebra::Vector6;
 
 use crate::lines::Lines;
 use crate::{DataError, LineFault};
@@ -156,6 +157,29 @@ impl Trajectory {
                 .world_from_camera
                 .interpolate(&after.world_from_camera, t)
         })
+    }
+
+    /// The camera's velocity at the pose with exactly this timestamp, from the pose before it to the one
+    /// after it: a twist `[omega, v]` in its own axes, rad/s and m/s. Neighbours more than
+    /// `max_gap_secs` away do not count; zero if there is no such pose or it stands alone.
+    pub fn velocity(&self, timestamp_secs: f64, max_gap_secs: f64) -> Vector6<f64> {
+        let is_earlier = |pose: &StampedPose| pose.timestamp_secs < timestamp_secs;
+        let index = self.poses.partition_point(is_earlier);
+        let near = |i: usize| {
+            let pose = self.poses.get(i)?;
+            ((pose.timestamp_secs - timestamp_secs).abs() <= max_gap_secs).then_some(pose)
+        };
+        let Some(now) = near(index).filter(|pose| pose.timestamp_secs == timestamp_secs) else {
+            return Vector6::zeros();
+        };
+        let before = index.checked_sub(1).and_then(near).unwrap_or(now);
+        let after = near(index + 1).unwrap_or(now);
+        let interval = after.timestamp_secs - before.timestamp_secs;
+        if interval > 0.0 {
+            (before.world_from_camera.inverse() * after.world_from_camera).log() / interval
+        } else {
+            Vector6::zeros()
+        }
     }
 }
 

@@ -10,7 +10,7 @@ use std::sync::Arc;
 
 use common::*;
 use fgs_data::{CameraFile, DataError, Dataset, Format, OpenOptions};
-use fgs_geom::{RgbdFrame, UndistortionMap};
+use fgs_geom::RgbdFrame;
 
 fn open(path: &Path) -> Result<Dataset, DataError> {
     Dataset::open(path, &OpenOptions::default())
@@ -221,7 +221,7 @@ fn lens_distortion_is_removed() {
     fs::write(folder.path().join("camera.toml"), &lens).unwrap();
     let frame = open(folder.path()).unwrap().frame(0).unwrap();
     let file = CameraFile::parse(&lens, Path::new("camera.toml")).unwrap();
-    let map = UndistortionMap::new(file.camera(), file.distortion().unwrap());
+    let map = file.distortion().unwrap().undistortion(file.camera());
     assert_ne!(frame.color, raw.color);
     assert_ne!(frame.depth_m, raw.depth_m);
     let valid = map.color_valid();

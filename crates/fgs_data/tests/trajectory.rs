@@ -9,7 +9,7 @@ use std::fs;
 use common::*;
 use fgs_data::{DataError, LineFault, Trajectory};
 use fgs_geom::Se3;
-use nalgebra::Vector3;
+use nalgebra::{Vector3, Vector6};
 
 fn made() -> Trajectory {
     let times = (0..20).map(|i| 1_300_000_000.123456 + f64::from(i) / 30.0);
@@ -136,4 +136,27 @@ fn interpolation_stays_between_neighbours() {
     assert_eq!(trajectory.at(0.5), Some(pose_at(0.5)));
     assert_eq!(trajectory.at(0.05), None);
     assert_eq!(Trajectory::default().interpolate(0.0, 1.0), None);
+}
+
+#[test]
+fn velocity_is_that_of_the_neighbours_where_they_are_near() {
+    let twist = Vector6::new(0.3, -0.5, 0.2, 0.1, 0.4, -0.2);
+    let start = pose_at(3.0);
+    let steady = |secs: f64| (secs, start * Se3::exp(&(secs * twist)));
+    // Uneven steps, and a gap of a second.
+    let trajectory = Trajectory::new([0.0, 0.1, 0.15, 1.15, 1.25].map(steady)).unwrap();
+    for secs in [0.0, 0.1, 0.15, 1.15, 1.25] {
+        let error = trajectory.velocity(secs, 0.2) - twist;
+        assert!(error.amax() <= 1e-9, "{secs}: {error}");
+    }
+    // Not a pose's time; no neighbour near enough.
+    for (secs, max_gap_secs) in [
+        (0.12, 0.2),
+        (-1.0, 9.0),
+        (9.0, 9.0),
+        (1.15, 0.05),
+        (f64::NAN, 9.0),
+    ] {
+        assert_eq!(trajectory.velocity(secs, max_gap_secs), Vector6::zeros());
+    }
 }

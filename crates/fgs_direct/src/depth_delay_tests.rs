@@ -30,6 +30,7 @@ fn sensor(delay_secs: f64, tangent: [f64; 6]) -> DepthSensor {
     DepthSensor {
         delay_secs,
         color_from_depth: Se3::exp(&Vector6::from(tangent)),
+        ..DepthSensor::default()
     }
 }
 

@@ -7,7 +7,7 @@
 
 use nalgebra::{Matrix3, Vector3, Vector6};
 
-use crate::{Camera, Image, Se3, has_depth};
+use crate::{Camera, Image, Se3, has_depth, row_delay_secs};
 
 /// The depth sensor's place and time relative to the colour camera's.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -18,6 +18,10 @@ pub struct DepthSensor {
     /// From the axes in which the depth image was measured to the colour camera's, at one moment:
     /// what the driver's registration left over. Near the identity.
     pub color_from_depth: Se3,
+    /// How long the depth camera takes to read its rows, seconds: from the first row to the last;
+    /// negative if it reads from the bottom; 0 for a global shutter. Its image was taken when the
+    /// middle row was.
+    pub readout_secs: f64,
 }
 
 impl Default for DepthSensor {
@@ -26,6 +30,7 @@ impl Default for DepthSensor {
         Self {
             delay_secs: 0.0,
             color_from_depth: Se3::identity(),
+            readout_secs: 0.0,
         }
     }
 }
@@ -37,13 +42,24 @@ impl DepthSensor {
     pub fn color_from_depth(&self, velocity: &Vector6<f64>) -> Se3 {
         Se3::exp(&(self.delay_secs * velocity)) * self.color_from_depth
     }
+
+    /// For each of `height` rows of the depth image, from the depth camera's axes when that row was
+    /// read to its axes when the middle row was. `velocity` as above.
+    pub fn middle_from_rows(&self, height: usize, velocity: &Vector6<f64>) -> Vec<Se3> {
+        let depth_from_color = self.color_from_depth.inverse();
+        let velocity = depth_from_color.adjoint() * velocity;
+        let delays = (0..height).map(|v| row_delay_secs(v, height, self.readout_secs));
+        delays.map(|delay| Se3::exp(&(delay * velocity))).collect()
+    }
 }
 
 /// A measurement that lands further than this from a pixel, in pixels, is not that pixel's.
 const MAX_MISS_PX: f64 = 0.75;
 
-/// The depth image as the colour camera would have measured it. Both cameras are `camera`; the
-/// motion between them is a few pixels in the image. Pixels that no measurement reaches get 0.
+/// The depth image as the colour camera would have measured it, with a global shutter, when its image
+/// was taken. Both cameras are `camera`, and move with `velocity`, `[omega, v]` in the colour camera's
+/// axes, rad/s and m/s; what a measurement moves by is a few pixels in the image. Pixels that no
+/// measurement reaches get 0.
 ///
 /// Each measurement goes to the pixel that it lands nearest to, the nearer surface hiding the one
 /// behind. Where rounding leaves a pixel out between two that were hit, it takes what lands
@@ -51,10 +67,11 @@ const MAX_MISS_PX: f64 = 0.75;
 pub fn registered_depth(
     depth_m: &Image<f32>,
     camera: &Camera,
-    color_from_depth: &Se3,
+    sensor: &DepthSensor,
+    velocity: &Vector6<f64>,
 ) -> Image<f32> {
     let (width, height) = (depth_m.width(), depth_m.height());
-    let landing = Landing::new(camera, color_from_depth);
+    let landing = Landing::new(camera, sensor, velocity);
     let mut registered = Image::filled(width, height, 0.0_f32);
     for v in 0..height {
         for (u, &depth) in depth_m.row(v).iter().enumerate() {
@@ -87,23 +104,30 @@ pub fn registered_depth(
 /// Where measurements land in the other camera's image.
 struct Landing<'a> {
     camera: &'a Camera,
-    rotation: Matrix3<f64>,
-    translation: Vector3<f64>,
+    /// For each row, from the depth camera's axes when it was read.
+    color_from_rows: Vec<(Matrix3<f64>, Vector3<f64>)>,
 }
 
 impl<'a> Landing<'a> {
-    fn new(camera: &'a Camera, color_from_depth: &Se3) -> Self {
+    fn new(camera: &'a Camera, sensor: &DepthSensor, velocity: &Vector6<f64>) -> Self {
+        let color_from_middle = sensor.color_from_depth(velocity);
+        let middle_from_rows = sensor.middle_from_rows(camera.height, velocity);
+        let color_from_rows = middle_from_rows.iter().map(|middle_from_row| {
+            let motion = color_from_middle * *middle_from_row;
+            let rotation = *motion.rotation.to_rotation_matrix().matrix();
+            (rotation, motion.translation)
+        });
         Self {
             camera,
-            rotation: *color_from_depth.rotation.to_rotation_matrix().matrix(),
-            translation: color_from_depth.translation,
+            color_from_rows: color_from_rows.collect(),
         }
     }
 
     /// Column, row and depth of what was measured at pixel (u, v).
     fn of(&self, u: usize, v: usize, depth_m: f32) -> (f64, f64, f64) {
         let ray = self.camera.ray(u as f64, v as f64);
-        let point = (self.rotation * ray) * f64::from(depth_m) + self.translation;
+        let (rotation, translation) = &self.color_from_rows[v];
+        let point = (rotation * ray) * f64::from(depth_m) + translation;
         let intrinsics = &self.camera.intrinsics;
         (
             intrinsics.fx * point.x / point.z + intrinsics.cx,
@@ -153,13 +177,30 @@ mod tests {
 
     /// Depth of the plane n . p = d in the axes of a camera at `plane_from_camera`.
     fn plane(plane_from_camera: &Se3) -> Image<f32> {
+        Image::from_fn(W, H, |u, v| plane_at(plane_from_camera, u, v))
+    }
+
+    fn plane_at(plane_from_camera: &Se3, u: usize, v: usize) -> f32 {
         let normal = Vector3::new(0.2, -0.1, -1.0).normalize();
-        Image::from_fn(W, H, |u, v| {
-            let ray = plane_from_camera.rotation * camera().ray(u as f64, v as f64);
-            let to_plane =
-                normal.dot(&(Vector3::new(0.0, 0.0, 2.5) - plane_from_camera.translation));
-            (to_plane / normal.dot(&ray)) as f32
-        })
+        let ray = plane_from_camera.rotation * camera().ray(u as f64, v as f64);
+        let to_plane = normal.dot(&(Vector3::new(0.0, 0.0, 2.5) - plane_from_camera.translation));
+        (to_plane / normal.dot(&ray)) as f32
+    }
+
+    fn moved(color_from_depth: &Se3) -> DepthSensor {
+        DepthSensor {
+            color_from_depth: *color_from_depth,
+            ..DepthSensor::default()
+        }
+    }
+
+    fn registered(depth_m: &Image<f32>, color_from_depth: &Se3) -> Image<f32> {
+        registered_depth(
+            depth_m,
+            &camera(),
+            &moved(color_from_depth),
+            &Vector6::zeros(),
+        )
     }
 
     #[test]
@@ -167,7 +208,7 @@ mod tests {
         let color_from_depth = Se3::exp(&Vector6::new(0.02, -0.03, 0.01, 0.01, -0.02, 0.03));
         let depth = plane(&Se3::identity());
         let truth = plane(&color_from_depth.inverse());
-        let registered = registered_depth(&depth, &camera(), &color_from_depth);
+        let registered = registered(&depth, &color_from_depth);
         let mut covered = 0;
         for (found, truth) in registered.data().iter().zip(truth.data()) {
             if *found > 0.0 {
@@ -189,7 +230,7 @@ mod tests {
         let mut depth = plane(&Se3::identity());
         depth.set(40, 30, 0.0);
         depth.set(41, 30, f32::NAN);
-        let registered = registered_depth(&depth, &camera(), &Se3::identity());
+        let registered = registered(&depth, &Se3::identity());
         for (i, (found, measured)) in registered.data().iter().zip(depth.data()).enumerate() {
             if [30 * W + 40, 30 * W + 41].contains(&i) {
                 assert_eq!(*found, 0.0);
@@ -204,7 +245,7 @@ mod tests {
         // A column of 20 px at 1 m before a wall at 3 m; the camera shifts by 2 cm, 2.6 px at 1 m.
         let depth = Image::from_fn(W, H, |u, _| if (70..90).contains(&u) { 1.0 } else { 3.0 });
         let shift = Se3::exp(&Vector6::new(0.0, 0.0, 0.0, 0.02, 0.0, 0.0));
-        let registered = registered_depth(&depth, &camera(), &shift);
+        let registered = registered(&depth, &shift);
         for u in 20..W - 20 {
             let expected = match u {
                 73..=92 => 1.0,
@@ -224,7 +265,7 @@ mod tests {
     fn a_delay_moves_by_the_velocity() {
         let sensor = DepthSensor {
             delay_secs: -0.01,
-            color_from_depth: Se3::identity(),
+            ..DepthSensor::default()
         };
         let velocity = Vector6::new(0.5, 0.0, 0.0, 0.0, 0.0, 2.0);
         // The colour camera is where the depth camera will be 10 ms later: forward by 2 cm.
@@ -234,11 +275,42 @@ mod tests {
     }
 
     #[test]
+    fn rows_read_one_after_the_other_are_brought_to_one_moment() {
+        let velocity = Vector6::new(0.9, -1.2, 0.5, 0.2, -0.3, 0.1);
+        let sensor = DepthSensor {
+            delay_secs: 0.01,
+            color_from_depth: Se3::exp(&Vector6::new(0.0, 0.0, 0.02, 0.01, 0.0, 0.0)),
+            readout_secs: 0.03,
+        };
+        // Each row as a global shutter would see it at that row's moment.
+        let rows = Image::from_fn(W, H, |u, v| {
+            let delay = sensor.delay_secs + row_delay_secs(v, H, sensor.readout_secs);
+            plane_at(
+                &(Se3::exp(&(delay * velocity)) * sensor.color_from_depth),
+                u,
+                v,
+            )
+        });
+        let found = registered_depth(&rows, &camera(), &sensor, &velocity);
+        let truth = plane(&Se3::identity());
+        let (mut covered, mut worst_before) = (0, 0.0_f32);
+        for (i, (found, truth)) in found.data().iter().zip(truth.data()).enumerate() {
+            if *found > 0.0 {
+                covered += 1;
+                assert!((found / truth - 1.0).abs() <= 4e-3, "{i}: {found} {truth}");
+                worst_before = worst_before.max((rows.data()[i] / truth - 1.0).abs());
+            }
+        }
+        assert!(covered >= W * H * 85 / 100, "{covered}");
+        assert!(worst_before >= 0.02, "{worst_before}");
+    }
+
+    #[test]
     fn absurd_motions_give_no_depth_and_no_panic() {
         let depth = plane(&Se3::identity());
         for tangent in [[1e3; 6], [0.0, 0.0, 0.0, 0.0, 0.0, -10.0], [f64::NAN; 6]] {
             let motion = Se3::exp(&Vector6::from(tangent));
-            let registered = registered_depth(&depth, &camera(), &motion);
+            let registered = registered(&depth, &motion);
             assert!(registered.data().iter().all(|depth| depth.is_finite()));
         }
     }

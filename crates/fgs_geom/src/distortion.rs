@@ -1,9 +1,8 @@
-//! Radial-tangential lens distortion (Brown-Conrady, OpenCV's convention) and undistortion of
-//! images.
+//! Radial-tangential lens distortion (Brown-Conrady, OpenCV's convention) and how to remove it.
 
 use nalgebra::Vector2;
 
-use crate::{Camera, Image};
+use crate::{Camera, Image, PixelMap};
 
 /// Distortion coefficients in OpenCV's order: k1, k2, p1, p2, k3.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -36,87 +35,17 @@ impl Distortion {
             y * radial + self.p1 * (r2 + 2.0 * y * y) + 2.0 * self.p2 * x * y,
         )
     }
-}
 
-/// A lookup table for undistortion: for each pixel of the undistorted image its source coordinates
-/// in the distorted one. Both images have the same intrinsics.
-#[derive(Clone, Debug)]
-pub struct UndistortionMap {
-    source: Image<[f32; 2]>,
-}
-
-impl UndistortionMap {
-    /// Computes the table for one camera and lens.
-    pub fn new(camera: &Camera, distortion: &Distortion) -> Self {
+    /// Where each pixel of the undistorted image lies in the distorted one. Both images have the same
+    /// intrinsics.
+    pub fn undistortion(&self, camera: &Camera) -> PixelMap {
         let k = camera.intrinsics;
-        let source = Image::from_fn(camera.width, camera.height, |u, v| {
+        PixelMap::new(Image::from_fn(camera.width, camera.height, |u, v| {
             let ray = camera.ray(u as f64, v as f64);
-            let bent = distortion.distort(&ray.xy());
+            let bent = self.distort(&ray.xy());
             [(k.fx * bent.x + k.cx) as f32, (k.fy * bent.y + k.cy) as f32]
-        });
-        Self { source }
+        }))
     }
-
-    /// The undistorted colour image, bilinear; black where [`Self::color_valid`] is false.
-    /// `None` if the image has another size than the camera.
-    pub fn color(&self, distorted: &Image<[u8; 3]>) -> Option<Image<[u8; 3]>> {
-        let (right, bottom) = (
-            distorted.width().checked_sub(1)?,
-            distorted.height().checked_sub(1)?,
-        );
-        self.fits(distorted).then(|| {
-            self.source.map(|&[x, y]| {
-                if !self.has_color(x, y) {
-                    return [0; 3];
-                }
-                let (u, v) = (x as usize, y as usize);
-                let (a, b) = (x - u as f32, y - v as f32);
-                // In the last column a is 0, so any neighbour will do; the same for rows.
-                let (next_u, next_v) = ((u + 1).min(right), (v + 1).min(bottom));
-                let (top, below) = (distorted.row(v), distorted.row(next_v));
-                std::array::from_fn(|i| {
-                    let mix = |p: u8, q: u8, t: f32| (1.0 - t) * f32::from(p) + t * f32::from(q);
-                    let upper = mix(top[u][i], top[next_u][i], a);
-                    let lower = mix(below[u][i], below[next_u][i], a);
-                    // Rounds: the cast cuts off. (`round` is a slow call on plain x86-64.)
-                    ((1.0 - b) * upper + b * lower + 0.5) as u8
-                })
-            })
-        })
-    }
-
-    /// Which pixels of [`Self::color`] the camera saw: those whose source lies between the centres
-    /// of the distorted image's outermost pixels, so that all four neighbours exist.
-    pub fn color_valid(&self) -> Image<bool> {
-        self.source.map(|&[x, y]| self.has_color(x, y))
-    }
-
-    fn has_color(&self, x: f32, y: f32) -> bool {
-        // Without a pixel the range is empty.
-        let inside = |x: f32, size: usize| x >= 0.0 && x <= size as f32 - 1.0;
-        inside(x, self.source.width()) && inside(y, self.source.height())
-    }
-
-    /// The undistorted depth image, each pixel the nearest of the distorted one (interpolation
-    /// would invent surfaces across edges); 0 where it shows nothing.
-    /// `None` if the image has another size than the camera.
-    pub fn depth(&self, distorted: &Image<f32>) -> Option<Image<f32>> {
-        self.fits(distorted).then(|| {
-            self.source
-                .map(|&[x, y]| nearest(distorted, x, y).unwrap_or(0.0))
-        })
-    }
-
-    fn fits<T>(&self, image: &Image<T>) -> bool {
-        (image.width(), image.height()) == (self.source.width(), self.source.height())
-    }
-}
-
-fn nearest<T: Copy>(image: &Image<T>, x: f32, y: f32) -> Option<T> {
-    let (u, v) = (x + 0.5, y + 0.5);
-    (u >= 0.0 && v >= 0.0)
-        .then(|| image.get(u as usize, v as usize))
-        .flatten()
 }
 
 #[cfg(test)]
@@ -167,7 +96,7 @@ mod tests {
             }
             [shade(point.x, point.y); 3]
         });
-        let restored = UndistortionMap::new(&camera, &distortion)
+        let restored = (distortion.undistortion(&camera))
             .color(&distorted)
             .unwrap();
         let mut worst_before = 0;
@@ -185,7 +114,7 @@ mod tests {
     #[test]
     fn what_lies_outside_the_distorted_image_is_not_valid() {
         let (camera, distortion) = fr1();
-        let map = UndistortionMap::new(&camera, &distortion);
+        let map = distortion.undistortion(&camera);
         let valid = map.color_valid();
         let white = map.color(&Image::filled(640, 480, [255; 3])).unwrap();
         let mut invalid = 0;
@@ -209,7 +138,7 @@ mod tests {
     #[test]
     fn depth_is_never_mixed() {
         let (camera, distortion) = fr1();
-        let map = UndistortionMap::new(&camera, &distortion);
+        let map = distortion.undistortion(&camera);
         let depth = Image::from_fn(640, 480, |u, _| if u < 300 { 1.0 } else { 3.0 });
         let restored = map.depth(&depth).unwrap();
         assert!(restored.data().iter().all(|d| [0.0, 1.0, 3.0].contains(d)));

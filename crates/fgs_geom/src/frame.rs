@@ -40,6 +40,10 @@ pub struct RgbdFrame {
     pub color_valid: Option<Arc<Image<bool>>>,
     /// Where and when the depth image was measured.
     pub depth_sensor: DepthSensor,
+    /// How long the colour camera takes to read its rows, seconds: from the first row to the last;
+    /// negative if it reads from the bottom; 0 for a global shutter. The frame's time is that of
+    /// the middle row.
+    pub color_readout_secs: f64,
 }
 
 /// Why images and camera do not make a frame.
@@ -99,6 +103,7 @@ impl RgbdFrame {
             camera,
             color_valid: None,
             depth_sensor: DepthSensor::default(),
+            color_readout_secs: 0.0,
         };
         frame.check()?;
         Ok(frame)

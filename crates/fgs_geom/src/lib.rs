@@ -11,13 +11,17 @@ mod distortion;
 mod frame;
 mod image;
 mod instructions;
+mod pixel_map;
+mod rolling_shutter;
 mod se3;
 
 pub use camera::{Camera, CameraError, Intrinsics, View};
 pub use depth::{depth_from_raw, has_depth};
 pub use depth_sensor::{DepthSensor, registered_depth};
-pub use distortion::{Distortion, UndistortionMap};
+pub use distortion::Distortion;
 pub use frame::{FrameError, FrameIndex, KeyframeId, RgbdFrame};
 pub use image::{Image, ImageSizeError};
 pub use instructions::{Instructions, InstructionsError, Kernel, dispatch};
+pub use pixel_map::PixelMap;
+pub use rolling_shutter::row_delay_secs;
 pub use se3::{Se3, inverse_left_jacobian, skew};

@@ -1,5 +1,6 @@
 //! Scores a finished run (Sec. IV): the trajectory against the ground truth, and the map,
-//! rendered at each tracked frame's estimated pose, against the frame.
+//! rendered at each tracked frame's estimated pose, against the frame. A render is that of a global
+//! shutter; so is what it is compared with, as it is free of lens distortion too.
 //!
 //! Frames are read again as a stream, a few at a time, so memory does not grow with the recording.
 
@@ -18,6 +19,7 @@ use crate::observer::{RunEvent, RunObserver};
 use crate::run_result::RunResult;
 use crate::score_values::Scores;
 use crate::scores::{FrameErrors, TrajectoryErrors};
+use crate::synchronized::synchronized;
 
 /// So many frames are in memory and scored side by side: enough for the cores of a desktop.
 const FRAMES_AT_ONCE: usize = 16;
@@ -133,11 +135,12 @@ fn score_maps(
             .par_iter()
             .map_init(Rasterizer::default, |rasterizer, (frame, row)| {
                 let pose = row.timestamp_secs.and_then(|secs| trajectory.at(secs));
-                let score = |gaussians: &&Gaussians| match (frame, pose) {
-                    (Ok(frame), Some(pose)) => {
-                        score_frame(frame, pose, gaussians, rasterizer).map(Some)
-                    }
-                    _ => Ok(None),
+                let (Ok(frame), Some(pose)) = (frame, pose) else {
+                    return Ok(vec![None; maps.len()]);
+                };
+                let frame = &synchronized(frame, trajectory);
+                let score = |gaussians: &&Gaussians| {
+                    score_frame(frame, pose, gaussians, rasterizer).map(Some)
                 };
                 maps.iter().map(score).collect()
             })

@@ -48,6 +48,7 @@ mod run_result;
 mod score_values;
 mod scores;
 mod settings;
+mod synchronized;
 
 pub use backend::{Backend, Model};
 pub use error::RunError;

@@ -46,12 +46,17 @@ impl MotionModel {
     /// more than half a second, the last known pose.
     pub fn predict(&self, timestamp_secs: f64) -> Option<Se3> {
         let last = self.last?;
-        let interval = last.secs_until(timestamp_secs);
-        Some(if interval > HORIZON_SECS {
-            last.world_from_camera
-        } else {
-            last.world_from_camera * Se3::exp(&(interval * self.velocity))
-        })
+        let motion = last.secs_until(timestamp_secs) * self.velocity_at(timestamp_secs);
+        Some(last.world_from_camera * Se3::exp(&motion))
+    }
+
+    /// The velocity expected at a time, `[omega, v]` in the camera's axes, rad/s and m/s; zero after a
+    /// gap of more than half a second.
+    pub fn velocity_at(&self, timestamp_secs: f64) -> Vector6<f64> {
+        match self.last {
+            Some(last) if last.secs_until(timestamp_secs) <= HORIZON_SECS => self.velocity,
+            _ => Vector6::zeros(),
+        }
     }
 
     /// The twist from the last frame to a pose, `[omega, v]` in the camera's axes, rad/s and m/s; zero

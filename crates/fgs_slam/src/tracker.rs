@@ -2,16 +2,18 @@
 //! be trusted, and grows the sparse map at tracking keyframes. A plain struct without threads.
 //!
 //! Differs from the paper: it starts from a constant-velocity prediction, its target grows
-//! incrementally, and every frame gets a verdict instead of a silent failure.
+//! incrementally, every frame gets a verdict instead of a silent failure, and what the rows of a
+//! rolling shutter saw is brought to one moment.
 
+use std::borrow::Cow;
 use std::sync::Arc;
 use std::time::Instant;
 
 use fgs_direct::{IntensityPyramid, PosePrior};
-use fgs_geom::{Camera, DepthSensor, KeyframeId, RgbdFrame, Se3, registered_depth};
+use fgs_geom::{Camera, KeyframeId, RgbdFrame, Se3};
 use fgs_gicp::{Alignment, DepthGrid, Point, Settings, SurfacePoint, align};
 use fgs_splat::SparseId;
-use nalgebra::Matrix6;
+use nalgebra::{Matrix6, Vector6};
 use rayon::prelude::*;
 
 use crate::color_aligner::ColorAligner;
@@ -61,8 +63,8 @@ struct Registered {
 #[derive(Clone, Copy)]
 struct Located {
     world_from_camera: Se3,
-    /// From the depth camera, when its image was taken, to the colour camera, when its was.
-    color_from_depth: Se3,
+    /// Twist `[omega, v]` in the camera's axes, rad/s and m/s.
+    velocity: Vector6<f64>,
     /// See [`Keyframe::information`].
     information: Option<Matrix6<f64>>,
 }
@@ -114,13 +116,17 @@ impl Tracker {
         let mut keyframe = None;
         let mut world_from_camera = None;
         if let Some(registered) = registered {
+            let seconds = frame.timestamp_secs;
+            let velocity = self
+                .motion
+                .velocity_to(&registered.world_from_depth, seconds);
+            let frame = &shared(frame, frame.with_steady_color(&velocity));
             let pyramid = self.config.color.then(|| ColorAligner::pyramid(frame));
-            let located = self.locate(frame, &registered, pyramid.as_ref());
+            let located = self.locate(frame, &registered, velocity, pyramid.as_ref());
             world_from_camera = Some(located.world_from_camera);
-            self.motion.observe(
-                located.world_from_camera * located.color_from_depth,
-                frame.timestamp_secs,
-            );
+            let color_from_depth = frame.depth_sensor.color_from_depth(&velocity);
+            self.motion
+                .observe(located.world_from_camera * color_from_depth, seconds);
             let overlap_share = quality.inliers as f64 / points.len() as f64;
             if let Some(kind) = self.policy.decide(overlap_share, allowed) {
                 let made = self.make_keyframe(kind, frame, &located, &points);
@@ -191,25 +197,15 @@ impl Tracker {
                 information: None,
             });
         };
-        let source: Vec<Point> = points.par_iter().map(|point| self.disk(point)).collect();
-        let settings = Settings {
-            max_correspondence_distance_m: self.config.max_correspondence_distance_m as f32,
-            rotation_epsilon_rad: ROTATION_EPSILON_RAD,
-            translation_epsilon_m: TRANSLATION_EPSILON_M,
-            ..Settings::default()
-        };
+        let seconds = frame.timestamp_secs;
+        let velocity = self.motion.velocity_at(seconds);
         // A registration that is impossible leaves the frame lost; the run goes on.
-        let mut alignment = align(&source, self.map.points(), &predicted, &settings).ok()?;
-        if !alignment.converged {
-            // Oscillating correspondences keep it from the last digits: the published tolerances
-            // will do.
-            let published = Settings {
-                rotation_epsilon_rad: Settings::default().rotation_epsilon_rad,
-                translation_epsilon_m: Settings::default().translation_epsilon_m,
-                ..settings
-            };
+        let mut alignment = self.align(&self.disks(points, frame, &velocity), &predicted)?;
+        if frame.depth_sensor.readout_secs != 0.0 {
+            // Where the rows were read from follows from the velocity, which is known better now.
             let start = alignment.target_from_source;
-            alignment = align(&source, self.map.points(), &start, &published).ok()?;
+            let velocity = self.motion.velocity_to(&start, seconds);
+            alignment = self.align(&self.disks(points, frame, &velocity), &start)?;
         }
         quality.inliers = alignment.inliers;
         quality.residual_m = alignment.rms_residual_m;
@@ -220,22 +216,41 @@ impl Tracker {
         })
     }
 
+    /// Registers points with the sparse map.
+    fn align(&self, source: &[Point], start: &Se3) -> Option<Alignment> {
+        let settings = Settings {
+            max_correspondence_distance_m: self.config.max_correspondence_distance_m as f32,
+            rotation_epsilon_rad: ROTATION_EPSILON_RAD,
+            translation_epsilon_m: TRANSLATION_EPSILON_M,
+            ..Settings::default()
+        };
+        let alignment = align(source, self.map.points(), start, &settings).ok()?;
+        if alignment.converged {
+            return Some(alignment);
+        }
+        // Oscillating correspondences keep it from the last digits: the published tolerances will do.
+        let published = Settings {
+            rotation_epsilon_rad: Settings::default().rotation_epsilon_rad,
+            translation_epsilon_m: Settings::default().translation_epsilon_m,
+            ..settings
+        };
+        let start = alignment.target_from_source;
+        align(source, self.map.points(), &start, &published).ok()
+    }
+
     /// The colour camera's pose: from the depth camera's by its motion between the two images, then
     /// by what the colours say.
     fn locate(
         &self,
         frame: &RgbdFrame,
         registered: &Registered,
+        velocity: Vector6<f64>,
         pyramid: Option<&IntensityPyramid>,
     ) -> Located {
-        let velocity = self
-            .motion
-            .velocity_to(&registered.world_from_depth, frame.timestamp_secs);
-        let color_from_depth = frame.depth_sensor.color_from_depth(&velocity);
-        let depth_from_color = color_from_depth.inverse();
+        let depth_from_color = frame.depth_sensor.color_from_depth(&velocity).inverse();
         let mut located = Located {
             world_from_camera: registered.world_from_depth * depth_from_color,
-            color_from_depth,
+            velocity,
             information: registered.information.map(|information| {
                 let depth_by_color = depth_from_color.adjoint();
                 depth_by_color.transpose() * information * depth_by_color
@@ -263,6 +278,24 @@ impl Tracker {
             && alignment.conditioning.weakest >= self.config.min_conditioning
     }
 
+    /// Disks in the depth camera's axes when it read its middle row.
+    fn disks(
+        &self,
+        points: &[SurfacePoint],
+        frame: &RgbdFrame,
+        velocity: &Vector6<f64>,
+    ) -> Vec<Point> {
+        if frame.depth_sensor.readout_secs == 0.0 {
+            return points.par_iter().map(|point| self.disk(point)).collect();
+        }
+        let middle_from_rows =
+            (frame.depth_sensor).middle_from_rows(frame.depth_m.height(), velocity);
+        points
+            .par_iter()
+            .map(|point| self.disk(point).transformed(&middle_from_rows[point.v]))
+            .collect()
+    }
+
     fn disk(&self, point: &SurfacePoint) -> Point {
         point.disk(self.surface.disk_thickness, self.surface.noise_power)
     }
@@ -276,7 +309,7 @@ impl Tracker {
     ) -> Keyframe {
         let id = self.next_keyframe_id();
         let world_from_camera = located.world_from_camera;
-        let frame = with_registered_depth(measured, &located.color_from_depth);
+        let frame = shared(measured, measured.synchronized(&located.velocity));
         let new_points = match kind {
             KeyframeKind::Mapping => Vec::new(),
             KeyframeKind::Tracking if Arc::ptr_eq(&frame, measured) => {
@@ -331,13 +364,10 @@ impl Tracker {
     }
 }
 
-/// The frame with its depth where the colour camera would have measured it.
-fn with_registered_depth(frame: &Arc<RgbdFrame>, color_from_depth: &Se3) -> Arc<RgbdFrame> {
-    if frame.depth_sensor == DepthSensor::default() {
-        return Arc::clone(frame);
+/// A frame that may be the same as one that is shared already.
+fn shared(frame: &Arc<RgbdFrame>, changed: Cow<'_, RgbdFrame>) -> Arc<RgbdFrame> {
+    match changed {
+        Cow::Borrowed(_) => Arc::clone(frame),
+        Cow::Owned(changed) => Arc::new(changed),
     }
-    let mut registered = (**frame).clone();
-    registered.depth_m = registered_depth(&frame.depth_m, &frame.camera, color_from_depth);
-    registered.depth_sensor = DepthSensor::default();
-    Arc::new(registered)
 }

@@ -323,6 +323,7 @@ mod tests {
             let truth = DepthSensor {
                 delay_secs,
                 color_from_depth,
+                ..DepthSensor::default()
             };
             let watch = watch(test_room::world_from_camera_at, &truth);
             let given = DepthSensor {
