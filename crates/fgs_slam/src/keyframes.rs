@@ -12,6 +12,7 @@ use nalgebra::Matrix6;
 use serde::{Deserialize, Serialize};
 
 use crate::config::KeyframeConfig;
+use crate::map_alignment::FrameToAlign;
 
 /// What a keyframe is for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -58,6 +59,14 @@ impl Keyframe {
             world_from_camera: self.world_from_camera,
         }
     }
+}
+
+/// What a tracked frame gives the mapper to do.
+pub enum FrameWork {
+    /// It joins the map.
+    Keyframe(Box<Keyframe>),
+    /// It is aligned with the map.
+    Align(Box<FrameToAlign>),
 }
 
 /// A pixel of a tracking keyframe that joins the sparse map.

@@ -27,6 +27,7 @@ mod surface;
 mod system;
 mod tracker;
 mod view_choice;
+mod weak_directions;
 
 pub use config::{
     KeyframeConfig, MappingConfig, SeedingConfig, SlamConfig, SurfaceConfig, TrackingConfig,

@@ -1,34 +1,38 @@
-//! Before a keyframe joins the map it is moved to where the map looks most like it: the map averages
-//! over many keyframes, each of which has an error of its own.
+//! A keyframe, before it joins the map, and every frame between keyframes is moved to where the map
+//! looks most like it: the map averages over many keyframes, each of which has an error of its own.
 //!
-//! Differs from the paper, whose keyframes stay where tracking put them.
+//! Differs from the paper, whose frames stay where tracking put them.
 
 use fgs_direct::{
     IntensityImage, IntensityPyramid, PosePrior, PosedReference, Reference, align_with_keyframes,
 };
-use fgs_geom::{Image, Se3, View};
+use fgs_geom::{FrameIndex, Image, Se3, View};
 use fgs_splat::{GaussianModel, ModelError};
-
-use crate::color_aligner::ColorAligner;
-use crate::keyframes::Keyframe;
 
 /// A pixel of a render shows the map if it is this opaque.
 const MIN_ALPHA: f32 = 0.95;
 
-/// The pose at which a keyframe's image fits the map best, given how sure tracking was of it; `None`
-/// if the map shows too little of it.
+/// A frame that can be aligned with the map.
+pub struct FrameToAlign {
+    /// Which frame.
+    pub index: FrameIndex,
+    /// Its brightness.
+    pub pyramid: IntensityPyramid,
+    /// What tracking says of its pose.
+    pub prior: PosePrior,
+}
+
+/// The pose at which an image fits the map best, given how sure tracking was of it; `None` if the map
+/// shows too little of it.
 ///
 /// # Errors
 /// If the model fails.
 pub fn align_with_map(
     model: &mut dyn GaussianModel,
-    keyframe: &Keyframe,
+    pyramid: &IntensityPyramid,
+    prior: &PosePrior,
 ) -> Result<Option<Se3>, ModelError> {
-    let Some(information) = keyframe.information else {
-        return Ok(None);
-    };
-    let pyramid = ColorAligner::pyramid(&keyframe.frame);
-    let world_from_camera = keyframe.world_from_camera;
+    let world_from_camera = prior.world_from_camera;
     // Only as fine as it is compared.
     let camera = pyramid.levels[0].camera;
     let rendered = model.render(&View {
@@ -49,10 +53,6 @@ pub fn align_with_map(
         reference: &reference,
         world_from_reference: world_from_camera,
     };
-    let prior = PosePrior {
-        world_from_camera,
-        information,
-    };
-    let aligned = align_with_keyframes(&pyramid, &[posed], &prior);
+    let aligned = align_with_keyframes(pyramid, &[posed], prior);
     Ok(aligned.map(|aligned| aligned.world_from_camera))
 }

@@ -1,14 +1,16 @@
 //! The mapper: gives the map the gaussians it lacks and optimises it, keyframe by keyframe
 //! (paper, Sec. III-A and III-D). A plain struct without threads.
 
+use fgs_direct::PosePrior;
 use fgs_geom::{FrameIndex, Image, KeyframeId, Se3};
 use fgs_splat::{
     GaussianModel, Gaussians, LossError, ModelError, ModelSettings, PruneRule, SparseId,
 };
 
+use crate::color_aligner::ColorAligner;
 use crate::config::{MappingConfig, SlamConfig};
 use crate::keyframes::Keyframe;
-use crate::map_alignment::align_with_map;
+use crate::map_alignment::{FrameToAlign, align_with_map};
 use crate::missing::missing_region;
 use crate::prepare::PreparedKeyframe;
 use crate::refinement::Rounds;
@@ -94,15 +96,37 @@ impl Mapper {
     /// # Errors
     /// If the model fails.
     pub fn align(&mut self, keyframe: &mut Keyframe) -> Result<Option<Se3>, MapperError> {
+        let Some(information) = keyframe.information else {
+            return Ok(None);
+        };
         if !self.has_views() || !self.config.tracking.color {
             return Ok(None);
         }
-        let pose = align_with_map(&mut *self.model, keyframe)?;
+        let prior = PosePrior {
+            world_from_camera: keyframe.world_from_camera,
+            information,
+        };
+        let pyramid = ColorAligner::pyramid(&keyframe.frame);
+        let pose = align_with_map(&mut *self.model, &pyramid, &prior)?;
         Ok(pose.map(|pose| {
             let motion = (pose * keyframe.world_from_camera.inverse()).renormalized();
             keyframe.world_from_camera = pose;
             motion
         }))
+    }
+
+    /// How a frame between keyframes moves to where the map, as it is, looks most like it, in its
+    /// camera's axes, `old_from_new`; `None` if the map does not show enough of it.
+    ///
+    /// # Errors
+    /// If the model fails.
+    pub fn align_frame(&mut self, frame: &FrameToAlign) -> Result<Option<Se3>, MapperError> {
+        if !self.has_views() {
+            return Ok(None);
+        }
+        let pose = align_with_map(&mut *self.model, &frame.pyramid, &frame.prior)?;
+        let old_from_world = frame.prior.world_from_camera.inverse();
+        Ok(pose.map(|pose| (old_from_world * pose).renormalized()))
     }
 
     /// Adds a keyframe's seeds and registers it for optimisation.

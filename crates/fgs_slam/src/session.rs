@@ -14,7 +14,7 @@ use crate::config::SlamConfig;
 use crate::event::{EventHub, SlamEvent, Subscription};
 use crate::frame_result::{FrameResult, FrameStatus};
 use crate::holdout::Holdout;
-use crate::keyframes::{Admission, Keyframe, KeyframeKind};
+use crate::keyframes::{Admission, FrameWork, Keyframe, KeyframeKind};
 use crate::mapper::MapperError;
 use crate::refinement::RefinedMap;
 use crate::system::{self, Execution, MapStatus, MapperGone, Mapping, Moves};
@@ -195,16 +195,20 @@ impl Slam {
         let frame = Arc::new(frame);
         self.tracker.remove_points(&self.map.take_removed());
         take_moved(&self.map, &mut self.graph, &mut self.tracker, &self.events);
+        take_aligned(&self.map, &mut self.frames);
         let admission = self.admission(frame.index);
         let tracker = &mut self.tracker;
         let tracked = match &self.tracker_threads {
             Some(threads) => threads.install(|| tracker.track(&frame, admission)),
             None => tracker.track(&frame, admission),
         };
-        let keyframe = tracked.keyframe;
-        if let Some(keyframe) = &keyframe {
-            self.add_keyframe(keyframe);
-        }
+        let keyframe = match &tracked.work {
+            Some(FrameWork::Keyframe(keyframe)) => {
+                self.add_keyframe(keyframe);
+                Some((keyframe.id, keyframe.kind))
+            }
+            _ => None,
+        };
         let result = FrameResult {
             index: frame.index,
             timestamp_secs: Some(frame.timestamp_secs),
@@ -213,13 +217,11 @@ impl Slam {
                 None => FrameStatus::Lost,
             },
             world_from_camera: tracked.world_from_camera,
-            keyframe: keyframe
-                .as_ref()
-                .map(|keyframe| (keyframe.id, keyframe.kind)),
+            keyframe,
             tracking: Some(tracked.quality),
         };
         self.record(result.clone(), None);
-        self.mapping.after_frame(keyframe)?;
+        self.mapping.after_frame(tracked.work)?;
         Ok(result)
     }
 
@@ -294,6 +296,7 @@ impl Slam {
         let mapped = self.mapping.finish(closing, steps, stop);
         let refining = mapped.refined.as_ref().map(|refined| refined.duration);
         take_moved(&self.map, &mut self.graph, &mut self.tracker, &self.events);
+        take_aligned(&self.map, &mut self.frames);
         self.events.close();
         let graph = self.graph;
         let pose = |id| graph.pose(id).copied().unwrap_or_else(Se3::identity);
@@ -416,6 +419,19 @@ fn take_moved(
     graph.remeasure_keyframes(&moves);
     tracker.move_keyframes(&moves);
     publish_correction(events, graph, &moves);
+}
+
+/// Takes over where the map shows frames to have been taken.
+fn take_aligned(map: &MapStatus, frames: &mut [RecordedFrame]) {
+    for (index, old_from_new) in map.take_aligned() {
+        let frame = frames
+            .iter_mut()
+            .rev()
+            .find(|frame| frame.result.index == index);
+        if let Some((_, keyframe_from_camera)) = frame.and_then(|frame| frame.pose.as_mut()) {
+            *keyframe_from_camera = (*keyframe_from_camera * old_from_new).renormalized();
+        }
+    }
 }
 
 /// Tells who looks on where moved keyframes now are.

@@ -19,10 +19,12 @@ use rayon::prelude::*;
 use crate::color_aligner::ColorAligner;
 use crate::config::{KeyframeConfig, SlamConfig, SurfaceConfig, TrackingConfig};
 use crate::frame_result::TrackingQuality;
-use crate::keyframes::{Admission, Keyframe, KeyframeKind, KeyframePolicy, NewPoint};
+use crate::keyframes::{Admission, FrameWork, Keyframe, KeyframeKind, KeyframePolicy, NewPoint};
+use crate::map_alignment::FrameToAlign;
 use crate::motion::MotionModel;
 use crate::sparse_map::SparseMap;
 use crate::surface::tracking_grid;
+use crate::weak_directions::{fused_pose, held_information};
 
 /// Fewer points with a surface say nothing about the camera.
 const MIN_POINTS: usize = 50;
@@ -35,6 +37,10 @@ const TRANSLATION_EPSILON_M: f64 = 2e-4;
 /// No depth camera measures a surface better than this at the distances of a room: a floor under
 /// the noise that a registration finds in its residuals.
 const SENSOR_NOISE_M: f64 = 1e-4;
+
+/// Standard deviations of what a hand does between two frames that the motion model does not predict.
+const PREDICTED_ROTATION_RAD: f64 = 0.02;
+const PREDICTED_TRANSLATION_M: f64 = 0.02;
 
 /// Registers frames with the sparse map.
 pub struct Tracker {
@@ -69,14 +75,24 @@ struct Located {
     information: Option<Matrix6<f64>>,
 }
 
+impl Located {
+    /// What is known of the pose; `None` where nothing was registered.
+    fn prior(&self) -> Option<PosePrior> {
+        Some(PosePrior {
+            world_from_camera: self.world_from_camera,
+            information: self.information?,
+        })
+    }
+}
+
 /// What the tracker says of a frame.
 pub struct Tracked {
     /// Its pose; `None` when lost.
     pub world_from_camera: Option<Se3>,
     /// How well it could be registered.
     pub quality: TrackingQuality,
-    /// The keyframe it becomes, if any, whose points have then joined the sparse map.
-    pub keyframe: Option<Keyframe>,
+    /// What it gives the mapper, if anything.
+    pub work: Option<FrameWork>,
 }
 
 impl Tracker {
@@ -113,7 +129,7 @@ impl Tracker {
         } else {
             None
         };
-        let mut keyframe = None;
+        let mut work = None;
         let mut world_from_camera = None;
         if let Some(registered) = registered {
             let seconds = frame.timestamp_secs;
@@ -133,17 +149,27 @@ impl Tracker {
                 if let Some(pyramid) = &pyramid {
                     self.color.add(&made, pyramid);
                 }
-                keyframe = Some(made);
-            }
-            if admission != Admission::HeldOut {
-                self.unmapped = keyframe.is_none().then(|| (Arc::clone(frame), located));
+                self.unmapped = None;
+                work = Some(FrameWork::Keyframe(Box::new(made)));
+            } else {
+                if admission != Admission::HeldOut {
+                    self.unmapped = Some((Arc::clone(frame), located));
+                }
+                let to_align = pyramid.zip(located.prior());
+                work = to_align.map(|(pyramid, prior)| {
+                    FrameWork::Align(Box::new(FrameToAlign {
+                        index: frame.index,
+                        pyramid,
+                        prior,
+                    }))
+                });
             }
         }
         quality.duration = start.elapsed();
         Tracked {
             world_from_camera,
             quality,
-            keyframe,
+            work,
         }
     }
 
@@ -200,20 +226,36 @@ impl Tracker {
         let seconds = frame.timestamp_secs;
         let velocity = self.motion.velocity_at(seconds);
         // A registration that is impossible leaves the frame lost; the run goes on.
-        let mut alignment = self.align(&self.disks(points, frame, &velocity), &predicted)?;
+        let mut source = self.disks(points, frame, &velocity);
+        let mut alignment = self.align(&source, &predicted)?;
+        let mut registered = self.registered(&alignment, &source, &predicted);
         if frame.depth_sensor.readout_secs != 0.0 {
             // Where the rows were read from follows from the velocity, which is known better now.
-            let start = alignment.target_from_source;
+            let start = registered.world_from_depth;
             let velocity = self.motion.velocity_to(&start, seconds);
-            alignment = self.align(&self.disks(points, frame, &velocity), &start)?;
+            source = self.disks(points, frame, &velocity);
+            alignment = self.align(&source, &start)?;
+            registered = self.registered(&alignment, &source, &predicted);
         }
         quality.inliers = alignment.inliers;
         quality.residual_m = alignment.rms_residual_m;
         quality.conditioning = alignment.conditioning.weakest;
-        self.is_trusted(&alignment).then(|| Registered {
-            world_from_depth: alignment.target_from_source,
-            information: Some(alignment.information(SENSOR_NOISE_M)),
-        })
+        self.is_trusted(&alignment).then_some(registered)
+    }
+
+    /// The pose of a registration where its points hold the camera, the predicted one where they do not.
+    fn registered(&self, alignment: &Alignment, source: &[Point], predicted: &Se3) -> Registered {
+        let thickness = self.surface.disk_thickness;
+        let held = held_information(alignment, source, thickness, SENSOR_NOISE_M);
+        let trust = self.config.depth_trust;
+        Registered {
+            world_from_depth: fused_pose(
+                &alignment.target_from_source,
+                predicted,
+                [&(trust * held), &predicted_information()],
+            ),
+            information: Some(trust * alignment.information(SENSOR_NOISE_M)),
+        }
     }
 
     /// Registers points with the sparse map.
@@ -259,7 +301,6 @@ impl Tracker {
         if let Some(pyramid) = pyramid
             && let Some(information) = &mut located.information
         {
-            *information *= self.config.depth_trust;
             let prior = PosePrior {
                 world_from_camera: located.world_from_camera,
                 information: *information,
@@ -362,6 +403,15 @@ impl Tracker {
         self.newest_keyframe = Some(id);
         id
     }
+}
+
+/// How sure the motion model is of a pose, tangent `[omega, v]`.
+fn predicted_information() -> Matrix6<f64> {
+    let (turn, shift) = (
+        PREDICTED_ROTATION_RAD.powi(-2),
+        PREDICTED_TRANSLATION_M.powi(-2),
+    );
+    Matrix6::from_diagonal(&Vector6::new(turn, turn, turn, shift, shift, shift))
 }
 
 /// A frame that may be the same as one that is shared already.

@@ -10,7 +10,7 @@ use fgs_splat::Gaussians;
 use super::budget::Budget;
 use super::mapping::{MapperGone, Mapping, Moves};
 use super::worker::{MapperWorker, MappingOutput};
-use crate::keyframes::Keyframe;
+use crate::keyframes::{FrameWork, Keyframe};
 
 /// The mapper, whose turn comes after each frame.
 pub struct Lockstep {
@@ -29,11 +29,11 @@ impl Mapping for Lockstep {
         true
     }
 
-    fn after_frame(&mut self, keyframe: Option<Keyframe>) -> Result<(), MapperGone> {
+    fn after_frame(&mut self, work: Option<FrameWork>) -> Result<(), MapperGone> {
         let steps = self.budget.next_frame();
         let alive = self.worker.turn(|worker| {
-            if let Some(keyframe) = keyframe {
-                worker.begin(keyframe)?;
+            if let Some(work) = work {
+                worker.take(work)?;
                 worker.settle()?;
             }
             (0..steps).try_for_each(|_| worker.step())

@@ -8,7 +8,7 @@ use fgs_geom::{KeyframeId, Se3};
 use fgs_splat::Gaussians;
 
 use super::worker::MappingOutput;
-use crate::keyframes::Keyframe;
+use crate::keyframes::{FrameWork, Keyframe};
 
 /// The mapper cannot go on; [`Mapping::finish`] says why.
 pub struct MapperGone;
@@ -21,8 +21,9 @@ pub trait Mapping: Send {
     /// Whether a keyframe can be handed over without the tracker having to wait for the mapper.
     fn accepts_keyframe(&self) -> bool;
 
-    /// A frame was tracked and may have become a keyframe.
-    fn after_frame(&mut self, keyframe: Option<Keyframe>) -> Result<(), MapperGone>;
+    /// A frame came, and may have something for the mapper to do. Frames are aligned with the map only
+    /// where the mapper has a turn after each.
+    fn after_frame(&mut self, work: Option<FrameWork>) -> Result<(), MapperGone>;
 
     /// Keyframes have moved, and the map must move with them.
     fn move_keyframes(&mut self, moves: &Moves) -> Result<(), MapperGone>;

@@ -12,12 +12,12 @@ use fgs_splat::Gaussians;
 
 use super::mapping::{MapperGone, Mapping, Moves};
 use super::worker::{MapperWorker, MappingOutput};
-use crate::keyframes::Keyframe;
+use crate::keyframes::{FrameWork, Keyframe};
 
 /// What the tracking side tells the mapper.
 pub enum Message {
-    /// A frame was tracked and may have become a keyframe.
-    Frame(Option<Box<Keyframe>>),
+    /// A frame came.
+    Frame(Option<FrameWork>),
     /// Keyframes have moved.
     Move(Moves),
     /// A copy of the map is wanted.
@@ -77,7 +77,7 @@ impl MappingThread {
 /// Does what a message asks for, apart from optimisation; `false` if the mapper is gone.
 pub fn obey(worker: &mut MapperWorker, message: Message) -> bool {
     worker.turn(|worker| match message {
-        Message::Frame(Some(keyframe)) => worker.begin(*keyframe),
+        Message::Frame(Some(work)) => worker.take(work),
         Message::Frame(None) => Ok(()),
         Message::Move(moves) => worker.move_keyframes(&moves),
         Message::Snapshot(answer) => {
@@ -94,11 +94,12 @@ impl Mapping for MappingThread {
         self.policy == Policy::EveryFrame || !self.messages.is_full()
     }
 
-    fn after_frame(&mut self, keyframe: Option<Keyframe>) -> Result<(), MapperGone> {
-        if keyframe.is_none() && self.policy == Policy::KeyframesWhileRoom {
+    fn after_frame(&mut self, work: Option<FrameWork>) -> Result<(), MapperGone> {
+        let is_keyframe = matches!(work, Some(FrameWork::Keyframe(_)));
+        if !is_keyframe && self.policy == Policy::KeyframesWhileRoom {
             return self.wait_until(Instant::now());
         }
-        self.send(Message::Frame(keyframe.map(Box::new)))
+        self.send(Message::Frame(work))
     }
 
     fn move_keyframes(&mut self, moves: &Moves) -> Result<(), MapperGone> {

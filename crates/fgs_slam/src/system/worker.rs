@@ -7,12 +7,12 @@ use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
-use fgs_geom::{KeyframeId, Se3};
+use fgs_geom::{FrameIndex, KeyframeId, Se3};
 use fgs_splat::{Gaussians, SparseId};
 
 use super::preparation::Preparation;
 use crate::event::{EventHub, SlamEvent};
-use crate::keyframes::Keyframe;
+use crate::keyframes::{FrameWork, Keyframe};
 use crate::mapper::{Mapper, MapperError};
 use crate::refinement::RefinedMap;
 
@@ -23,6 +23,7 @@ pub struct MapStatus {
     steps: AtomicUsize,
     removed: Mutex<Vec<SparseId>>,
     moved: Mutex<Vec<(KeyframeId, Se3)>>,
+    aligned: Mutex<Vec<(FrameIndex, Se3)>>,
 }
 
 impl MapStatus {
@@ -44,6 +45,12 @@ impl MapStatus {
     /// How keyframes moved when they joined the map, each by its `new_world_from_old_world`.
     pub fn take_moved(&self) -> Vec<(KeyframeId, Se3)> {
         std::mem::take(&mut lock(&self.moved))
+    }
+
+    /// How frames between keyframes moved when they were aligned with the map, each in its camera's
+    /// axes, `old_from_new`.
+    pub fn take_aligned(&self) -> Vec<(FrameIndex, Se3)> {
+        std::mem::take(&mut lock(&self.aligned))
     }
 }
 
@@ -119,6 +126,19 @@ impl MapperWorker {
         self.busy += start.elapsed();
         self.failure = done.err();
         self.failure.is_none()
+    }
+
+    /// Takes on what a frame gives to do.
+    pub fn take(&mut self, work: FrameWork) -> Result<(), MapperError> {
+        match work {
+            FrameWork::Keyframe(keyframe) => self.begin(*keyframe),
+            FrameWork::Align(frame) => {
+                if let Some(motion) = self.mapper.align_frame(&frame)? {
+                    lock(&self.status.aligned).push((frame.index, motion));
+                }
+                Ok(())
+            }
+        }
     }
 
     /// Starts on a keyframe, after the one before it has joined the map.
