@@ -128,16 +128,19 @@ fn after_a_common_correction_everything_goes_on_as_if_nothing_had_happened() {
         }
         let output = slam.finish();
         assert_eq!(statuses(&output), "T".repeat(30), "{execution:?}");
-        for (frame, plain) in output.frames.iter().zip(&plain.frames) {
-            let expected = motion * plain.world_from_camera.unwrap();
-            let error = distance(&frame.world_from_camera.unwrap(), &expected);
-            // A tenth of a millimetre; the camera moves several centimetres.
-            assert!(
-                error <= 2e-4,
-                "{execution:?}: {error}, frame {:?}",
-                frame.index
-            );
-        }
+        let frames = output.frames.iter().zip(&plain.frames);
+        let mut errors: Vec<f64> = frames
+            .map(|(frame, plain)| {
+                let expected = motion * plain.world_from_camera.unwrap();
+                distance(&frame.world_from_camera.unwrap(), &expected)
+            })
+            .collect();
+        errors.sort_by(f64::total_cmp);
+        // The camera moves several centimetres. Rounding may change which pixels of a single frame are
+        // aligned with the map.
+        let (median, worst) = (errors[15], errors[29]);
+        assert!(median <= 5e-5, "{execution:?}: {median}");
+        assert!(worst <= 5e-4, "{execution:?}: {worst}");
         let corrected = looker_on.events().iter().find_map(|event| match event {
             // Not that of a single keyframe, aligned with the map.
             SlamEvent::Correction(poses) if poses[0].0 == KeyframeId(0) => Some(poses),
