@@ -5,10 +5,13 @@
 //! twice: by registering their depth and by aligning their colour images.
 
 use std::collections::VecDeque;
+use std::sync::Arc;
 
-use fgs_direct::{IntensityPyramid, SensorMotion, align_images};
+use fgs_direct::{
+    ColorPair, DepthPair, IntensityImage, IntensityPyramid, PlaneMatch, SensorMotion, align_images,
+};
 use fgs_geom::{Camera, DepthSensor, Image, RgbdFrame, Se3, has_depth};
-use fgs_gicp::{DepthGrid, Kernel, MIN_EIGENVALUE, Point, PointMap, Settings, align};
+use fgs_gicp::{DepthGrid, Kernel, MIN_EIGENVALUE, Point, PointMap, Settings, SurfacePoint, align};
 use nalgebra::{Vector3, Vector6};
 
 use super::statistics::median;
@@ -63,6 +66,10 @@ pub struct SensorWatch {
     recent: VecDeque<Seen>,
     /// The motions so far, in the order of time.
     pub motions: Vec<SensorMotion>,
+    /// The same pairs of colour images, ...
+    pub color_pairs: Vec<ColorPair>,
+    /// ... and of depth images.
+    pub depth_pairs: Vec<DepthPair>,
     /// How fast the image moves at its centre in each frame, pixels per second.
     pub speeds_px: Vec<f64>,
 }
@@ -75,7 +82,8 @@ struct Seen {
     brightness: IntensityPyramid,
     /// Textured places, in the depth sensor's axes.
     textured: Vec<Vector3<f64>>,
-    surface: Vec<Point>,
+    surface: Vec<SurfacePoint>,
+    stride_px: usize,
     /// The colour camera's pose by the alignment of neighbours.
     start_from_camera: Se3,
     velocity: Vector6<f64>,
@@ -90,6 +98,8 @@ impl SensorWatch {
             frames: 0,
             recent: VecDeque::new(),
             motions: Vec::new(),
+            color_pairs: Vec::new(),
+            depth_pairs: Vec::new(),
             speeds_px: Vec::new(),
         }
     }
@@ -136,13 +146,29 @@ impl SensorWatch {
         if !self.frames.is_multiple_of(self.every) {
             return;
         }
+        let Some(image) = second.brightness.levels.first() else {
+            return;
+        };
+        let image = Arc::new(image.clone());
         for span in SPANS {
             let first = last
                 .checked_sub(span)
                 .filter(|first| *first >= VELOCITY_FRAMES)
                 .map(|first| &self.recent[first]);
-            let motion = first.and_then(|first| motion(first, second, &self.camera));
-            self.motions.extend(motion);
+            let Some(first) = first else {
+                continue;
+            };
+            let Some(Pair {
+                motion,
+                color,
+                depth,
+            }) = pair(first, second, &image, &self.camera)
+            else {
+                continue;
+            };
+            self.motions.push(motion);
+            self.color_pairs.push(color);
+            self.depth_pairs.push(depth);
         }
     }
 
@@ -176,18 +202,23 @@ impl Seen {
             stride_px: (pixels / GRID_POINTS).sqrt().ceil() as usize,
             ..DepthGrid::default()
         };
-        let surface = grid.surface_points(depth_m, camera);
-        let disk = |point: &fgs_gicp::SurfacePoint| point.disk(MIN_EIGENVALUE, NOISE_POWER);
         Self {
             timestamp_secs: frame.timestamp_secs,
             depth_m: depth_m.clone(),
             sensor: frame.depth_sensor,
             textured: textured(&brightness, depth_m, camera),
             brightness,
-            surface: surface.iter().map(disk).collect(),
+            surface: grid.surface_points(depth_m, camera),
+            stride_px: grid.stride_px,
             start_from_camera: Se3::identity(),
             velocity: Vector6::zeros(),
         }
+    }
+
+    /// For registration.
+    fn disks(&self) -> impl Iterator<Item = Point> {
+        let points = self.surface.iter();
+        points.map(|point| point.disk(MIN_EIGENVALUE, NOISE_POWER))
     }
 
     /// The textured places that pass, in the colour camera's axes.
@@ -209,8 +240,15 @@ impl Seen {
     }
 }
 
-/// The motion between two frames by both sensors; `None` if the views overlap too little.
-fn motion(first: &Seen, second: &Seen, camera: &Camera) -> Option<SensorMotion> {
+/// What two frames tell about the times of both sensors.
+struct Pair {
+    motion: SensorMotion,
+    color: ColorPair,
+    depth: DepthPair,
+}
+
+/// `None` if the views overlap too little. `image` is the second's.
+fn pair(first: &Seen, second: &Seen, image: &Arc<IntensityImage>, camera: &Camera) -> Option<Pair> {
     let settings = Settings {
         max_correspondence_distance_m: 0.06,
         kernel: Kernel::Cauchy { scale_m: 0.01 },
@@ -220,10 +258,11 @@ fn motion(first: &Seen, second: &Seen, camera: &Camera) -> Option<SensorMotion> 
     };
     let start = second.start_from_camera.inverse() * first.start_from_camera;
     let mut target = PointMap::new(settings.max_correspondence_distance_m);
-    for (id, point) in first.surface.iter().enumerate() {
-        target.insert(id as u64, *point);
+    for (id, point) in first.disks().enumerate() {
+        target.insert(id as u64, point);
     }
-    let registered = align(&second.surface, &target, &start.inverse(), &settings).ok()?;
+    let source: Vec<Point> = second.disks().collect();
+    let registered = align(&source, &target, &start.inverse(), &settings).ok()?;
     if !registered.converged || registered.inlier_share < MIN_INLIER_SHARE {
         return None;
     }
@@ -245,11 +284,71 @@ fn motion(first: &Seen, second: &Seen, camera: &Camera) -> Option<SensorMotion> 
         return None;
     }
     let aligned = align_images(&first.brightness, &second.brightness, &points, &start)?;
-    Some(SensorMotion {
+    let velocities = [first.velocity, second.velocity];
+    let color_second_from_first = aligned.second_from_first;
+    let color = ColorPair::new(
+        first.brightness.levels.first()?,
+        Arc::clone(image),
+        &points,
+        color_second_from_first,
+        velocities,
+    );
+    let depth_from_color = first.sensor.color_from_depth.inverse().adjoint();
+    let depth = DepthPair::new(
+        plane_matches(first, second, &depth_second_from_first, camera),
+        camera.height,
         depth_second_from_first,
-        color_second_from_first: aligned.second_from_first,
-        velocities: [first.velocity, second.velocity],
+        velocities.map(|velocity| depth_from_color * velocity),
+    );
+    Some(Pair {
+        motion: SensorMotion {
+            depth_second_from_first,
+            color_second_from_first,
+            velocities,
+        },
+        color,
+        depth,
     })
+}
+
+/// The first's points with the planes of the second that they lie in.
+fn plane_matches(
+    first: &Seen,
+    second: &Seen,
+    second_from_first: &Se3,
+    camera: &Camera,
+) -> Vec<PlaneMatch> {
+    let stride = second.stride_px;
+    let mut planes = Image::filled(
+        camera.width.div_ceil(stride),
+        camera.height.div_ceil(stride),
+        None,
+    );
+    for point in &second.surface {
+        planes.set(point.u / stride, point.v / stride, Some(point));
+    }
+    let find = |point: &SurfacePoint| {
+        let moved = second_from_first.transform(&point.fitted);
+        let pixel = camera
+            .project(&moved)
+            .filter(|pixel| camera.contains(pixel))?;
+        let cell = [pixel.x, pixel.y].map(|x| (x.round() as usize) / stride);
+        let plane: &SurfacePoint = planes.at(cell[0], cell[1])?;
+        let is_same = plane.normal.dot(&(moved - plane.fitted)).abs()
+            <= MAX_DEPTH_DIFFERENCE * moved.z
+            && plane
+                .normal
+                .dot(&(second_from_first.rotation * point.normal))
+                >= 0.9;
+        is_same.then(|| PlaneMatch {
+            point: point.fitted,
+            point_row: point.v,
+            plane_point: plane.fitted,
+            plane_normal: plane.normal,
+            plane_row: plane.v,
+        })
+    };
+    first.surface.iter().filter_map(find).collect()
 }
 
 /// The most textured point of each cell of the image that lies on a smooth surface, away from its
@@ -331,7 +430,7 @@ mod tests {
                 ..truth
             };
             let found = depth_delay(&watch.motions, &given).unwrap();
-            assert!((found.delay_secs - delay_secs).abs() <= 5e-4, "{found:?}");
+            assert!((found.secs - delay_secs).abs() <= 5e-4, "{found:?}");
         }
     }
 
@@ -350,7 +449,7 @@ mod tests {
         };
         let shaken = watch(shake, &late);
         let found = depth_delay(&shaken.motions, &DepthSensor::default()).unwrap();
-        assert!((found.delay_secs + 0.012).abs() <= 1e-3, "{found:?}");
+        assert!((found.secs + 0.012).abs() <= 1e-3, "{found:?}");
         // 180 px * 0.4 m/s / 2 m.
         let speed = median(shaken.speeds_px).unwrap();
         assert!((20.0..50.0).contains(&speed), "{speed}");
