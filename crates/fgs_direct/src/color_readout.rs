@@ -10,13 +10,9 @@ use nalgebra::{SVector, Vector3, Vector6};
 
 use crate::image_alignment::MIN_NOISE;
 use crate::normal_equations::NormalEquations;
-use crate::readout::{self, Pair, RollingJacobian, RollingMotion, Row};
+use crate::readout::{self, Pair, RollingJacobian, RollingMotion, Row, nearest_row};
 use crate::residual::brightness;
 use crate::{IntensityImage, TimeEstimate};
-
-/// A point's row in the second image depends on where the camera was when it read that row. After two
-/// rounds the error is far below a hundredth of a pixel.
-const ROUNDS: usize = 2;
 
 /// Two colour images, of the first only the brightness of some points.
 #[derive(Clone, Debug)]
@@ -82,14 +78,9 @@ impl ColorPair {
         let first_row = &rows[0][point.row];
         let middle =
             (self.motion.second_from_first).transform(&first_row.to_middle(&point.position));
-        let mut seen = middle;
-        let mut second_row = rows[1].first()?;
-        for _ in 0..ROUNDS {
-            let pixel = self.second.camera.project(&seen)?;
-            second_row = &rows[1][nearest_row(pixel.y, rows[1].len())];
-            seen = second_row.from_middle(&middle);
-        }
-        let (value, by_pose) = brightness(&self.second, &seen)?;
+        let pixel = readout::pixel(&middle, rows[1], &self.second.camera)?;
+        let second_row = &rows[1][nearest_row(pixel.y, rows[1].len())];
+        let (value, by_pose) = brightness(&self.second, &second_row.from_middle(&middle))?;
         // The camera's pose moves the point the other way.
         let by_point = -by_pose.fixed_rows::<3>(3);
         let RollingJacobian {
@@ -127,10 +118,6 @@ impl Pair<9> for ColorPair {
         self.gain += step[6];
         self.offset += step[7];
     }
-}
-
-fn nearest_row(y: f64, height: usize) -> usize {
-    (y.round().max(0.0) as usize).min(height - 1)
 }
 
 /// The readout of the colour camera that best explains the pairs, which are in temporal order: from the

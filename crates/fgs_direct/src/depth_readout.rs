@@ -3,8 +3,10 @@
 //! A point of the first image should lie in the plane that the second image shows there; both images
 //! have rolling shutters, see [`crate::readout`].
 
-use fgs_geom::Se3;
-use nalgebra::{SVector, Vector3, Vector6};
+use std::sync::Arc;
+
+use fgs_geom::{Camera, Image, Se3};
+use nalgebra::{SVector, Vector2, Vector3, Vector6};
 
 use crate::TimeEstimate;
 use crate::normal_equations::NormalEquations;
@@ -13,42 +15,73 @@ use crate::readout::{self, Pair, RollingJacobian, RollingMotion, Row};
 /// A floor on the noise of the residuals, metres at a depth of one metre.
 const MIN_NOISE: f64 = 1e-4;
 
-/// A point of the first image and the plane that it lies in according to the second.
-#[derive(Clone, Debug)]
-pub struct PlaneMatch {
-    /// Measured in the first image, in the depth camera's axes when that row was read, metres.
+/// Points further from the plane, as a share of its depth, are not of the same surface, ...
+const MAX_DISTANCE: f64 = 0.03;
+
+/// ... nor are those whose normals' cosine is smaller.
+const MIN_COSINE: f64 = 0.9;
+
+/// A small piece of a surface.
+#[derive(Clone, Copy, Debug)]
+pub struct Patch {
+    /// In the depth camera's axes when its row was read, metres.
     pub point: Vector3<f64>,
+    /// Unit normal, in the same axes.
+    pub normal: Vector3<f64>,
     /// The row that it was read from.
-    pub point_row: usize,
-    /// A point of the plane in the second image, in the camera's axes when that row was read, metres.
-    pub plane_point: Vector3<f64>,
-    /// Unit normal of the plane, in the same axes.
-    pub plane_normal: Vector3<f64>,
-    /// The row that the plane was read from.
-    pub plane_row: usize,
+    pub row: usize,
+}
+
+/// The patches of a depth image, one for each cell of some pixels in either direction.
+#[derive(Clone, Debug)]
+pub struct PatchGrid {
+    /// Of the depth image.
+    pub camera: Camera,
+    /// Pixels on each side of a cell, at least 1.
+    pub cell_px: usize,
+    /// For each cell.
+    pub patches: Image<Option<Patch>>,
+}
+
+impl PatchGrid {
+    /// The patch where a point is seen.
+    #[inline]
+    fn at(&self, pixel: &Vector2<f64>) -> Option<&Patch> {
+        let (u, v) = (pixel.x.round(), pixel.y.round());
+        let cell = |x: f64| x as usize / self.cell_px;
+        let is_inside = u >= 0.0
+            && v >= 0.0
+            && cell(u) < self.patches.width()
+            && cell(v) < self.patches.height();
+        self.patches
+            .data()
+            .get(cell(v) * self.patches.width() + cell(u))
+            .filter(|_| is_inside)?
+            .as_ref()
+    }
 }
 
 /// Two depth images.
 #[derive(Clone, Debug)]
 pub struct DepthPair {
-    matches: Vec<PlaneMatch>,
-    height: usize,
+    first: Arc<PatchGrid>,
+    second: Arc<PatchGrid>,
     motion: RollingMotion,
 }
 
 impl DepthPair {
-    /// For images of `height` rows. `second_from_first` is the motion between the images as far as it
+    /// `second_from_first` is the motion between the images as far as it
     /// is known, and `velocities` are the depth camera's twists `[omega, v]` at the time of each image
     /// in its own axes, rad/s and m/s.
     pub fn new(
-        matches: Vec<PlaneMatch>,
-        height: usize,
+        first: Arc<PatchGrid>,
+        second: Arc<PatchGrid>,
         second_from_first: Se3,
         velocities: [Vector6<f64>; 2],
     ) -> Self {
         Self {
-            matches,
-            height,
+            first,
+            second,
             motion: RollingMotion {
                 second_from_first,
                 velocities,
@@ -61,16 +94,24 @@ impl DepthPair {
     #[inline]
     fn row(
         &self,
-        pair: &PlaneMatch,
+        patch: &Patch,
         rows: [&[Row]; 2],
         first_velocity_in_second: &Vector6<f64>,
     ) -> Option<(f64, SVector<f64, 7>)> {
-        let (first_row, second_row) = (rows[0].get(pair.point_row)?, rows[1].get(pair.plane_row)?);
-        let middle = (self.motion.second_from_first).transform(&first_row.to_middle(&pair.point));
-        let distance =
-            (pair.plane_normal).dot(&(second_row.from_middle(&middle) - pair.plane_point));
+        let first_row = rows[0].get(patch.row)?;
+        let middle = (self.motion.second_from_first).transform(&first_row.to_middle(&patch.point));
+        let pixel = readout::pixel(&middle, rows[1], &self.second.camera)?;
+        let plane = self.second.at(&pixel)?;
+        let second_row = rows[1].get(plane.row)?;
+        let distance = plane
+            .normal
+            .dot(&(second_row.from_middle(&middle) - plane.point));
+        let normal = self.motion.second_from_first.rotation * patch.normal;
+        if distance.abs() > MAX_DISTANCE * plane.point.z || normal.dot(&plane.normal) < MIN_COSINE {
+            return None;
+        }
         // The error of structured light and stereo grows with the square of the depth.
-        let scale = 1.0 / pair.plane_point.z.powi(2);
+        let scale = 1.0 / plane.point.z.powi(2);
         let RollingJacobian {
             by_motion,
             by_readout,
@@ -78,7 +119,7 @@ impl DepthPair {
             [first_row, second_row],
             first_velocity_in_second,
             &middle,
-            &(scale * pair.plane_normal),
+            &(scale * plane.normal),
         );
         let mut jacobian = SVector::<f64, 7>::zeros();
         jacobian.fixed_rows_mut::<6>(0).copy_from(&by_motion);
@@ -89,13 +130,13 @@ impl DepthPair {
 
 impl Pair<7> for DepthPair {
     fn linearize(&self, readout_secs: f64) -> Option<NormalEquations<7>> {
-        let [first_rows, second_rows] =
-            (self.motion.velocities).map(|velocity| Row::all(self.height, &velocity, readout_secs));
+        let [first, second] = self.motion.velocities;
+        let first_rows = Row::all(self.first.camera.height, &first, readout_secs);
+        let second_rows = Row::all(self.second.camera.height, &second, readout_secs);
         let velocity = self.motion.first_velocity_in_second();
-        let rows: Vec<_> = self
-            .matches
-            .iter()
-            .filter_map(|pair| self.row(pair, [&first_rows, &second_rows], &velocity))
+        let patches = self.first.patches.data().iter().flatten();
+        let rows: Vec<_> = patches
+            .filter_map(|patch| self.row(patch, [&first_rows, &second_rows], &velocity))
             .collect();
         NormalEquations::robust(&rows, MIN_NOISE)
     }

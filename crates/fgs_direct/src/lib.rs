@@ -21,7 +21,7 @@ mod time_estimate;
 
 pub use color_readout::{ColorPair, color_readout};
 pub use depth_delay::{SensorMotion, depth_delay};
-pub use depth_readout::{DepthPair, PlaneMatch, depth_readout};
+pub use depth_readout::{DepthPair, Patch, PatchGrid, depth_readout};
 pub use image_alignment::{ImageAlignment, align_images};
 pub use intensity::{IntensityImage, IntensityPyramid};
 pub use keyframe_alignment::{

@@ -8,7 +8,8 @@ use std::collections::VecDeque;
 use std::sync::Arc;
 
 use fgs_direct::{
-    ColorPair, DepthPair, IntensityImage, IntensityPyramid, PlaneMatch, SensorMotion, align_images,
+    ColorPair, DepthPair, IntensityImage, IntensityPyramid, Patch, PatchGrid, SensorMotion,
+    align_images,
 };
 use fgs_geom::{Camera, DepthSensor, Image, RgbdFrame, Se3, has_depth};
 use fgs_gicp::{DepthGrid, Kernel, MIN_EIGENVALUE, Point, PointMap, Settings, SurfacePoint, align};
@@ -82,8 +83,8 @@ struct Seen {
     brightness: IntensityPyramid,
     /// Textured places, in the depth sensor's axes.
     textured: Vec<Vector3<f64>>,
-    surface: Vec<SurfacePoint>,
-    stride_px: usize,
+    surface: Vec<Point>,
+    patches: Arc<PatchGrid>,
     /// The colour camera's pose by the alignment of neighbours.
     start_from_camera: Se3,
     velocity: Vector6<f64>,
@@ -202,23 +203,19 @@ impl Seen {
             stride_px: (pixels / GRID_POINTS).sqrt().ceil() as usize,
             ..DepthGrid::default()
         };
+        let surface = grid.surface_points(depth_m, camera);
+        let disk = |point: &SurfacePoint| point.disk(MIN_EIGENVALUE, NOISE_POWER);
         Self {
             timestamp_secs: frame.timestamp_secs,
             depth_m: depth_m.clone(),
             sensor: frame.depth_sensor,
             textured: textured(&brightness, depth_m, camera),
             brightness,
-            surface: grid.surface_points(depth_m, camera),
-            stride_px: grid.stride_px,
+            surface: surface.iter().map(disk).collect(),
+            patches: Arc::new(patch_grid(&surface, grid.stride_px, *camera)),
             start_from_camera: Se3::identity(),
             velocity: Vector6::zeros(),
         }
-    }
-
-    /// For registration.
-    fn disks(&self) -> impl Iterator<Item = Point> {
-        let points = self.surface.iter();
-        points.map(|point| point.disk(MIN_EIGENVALUE, NOISE_POWER))
     }
 
     /// The textured places that pass, in the colour camera's axes.
@@ -258,11 +255,10 @@ fn pair(first: &Seen, second: &Seen, image: &Arc<IntensityImage>, camera: &Camer
     };
     let start = second.start_from_camera.inverse() * first.start_from_camera;
     let mut target = PointMap::new(settings.max_correspondence_distance_m);
-    for (id, point) in first.disks().enumerate() {
-        target.insert(id as u64, point);
+    for (id, point) in first.surface.iter().enumerate() {
+        target.insert(id as u64, *point);
     }
-    let source: Vec<Point> = second.disks().collect();
-    let registered = align(&source, &target, &start.inverse(), &settings).ok()?;
+    let registered = align(&second.surface, &target, &start.inverse(), &settings).ok()?;
     if !registered.converged || registered.inlier_share < MIN_INLIER_SHARE {
         return None;
     }
@@ -295,8 +291,8 @@ fn pair(first: &Seen, second: &Seen, image: &Arc<IntensityImage>, camera: &Camer
     );
     let depth_from_color = first.sensor.color_from_depth.inverse().adjoint();
     let depth = DepthPair::new(
-        plane_matches(first, second, &depth_second_from_first, camera),
-        camera.height,
+        Arc::clone(&first.patches),
+        Arc::clone(&second.patches),
         depth_second_from_first,
         velocities.map(|velocity| depth_from_color * velocity),
     );
@@ -311,44 +307,23 @@ fn pair(first: &Seen, second: &Seen, image: &Arc<IntensityImage>, camera: &Camer
     })
 }
 
-/// The first's points with the planes of the second that they lie in.
-fn plane_matches(
-    first: &Seen,
-    second: &Seen,
-    second_from_first: &Se3,
-    camera: &Camera,
-) -> Vec<PlaneMatch> {
-    let stride = second.stride_px;
-    let mut planes = Image::filled(
-        camera.width.div_ceil(stride),
-        camera.height.div_ceil(stride),
-        None,
-    );
-    for point in &second.surface {
-        planes.set(point.u / stride, point.v / stride, Some(point));
-    }
-    let find = |point: &SurfacePoint| {
-        let moved = second_from_first.transform(&point.fitted);
-        let pixel = camera
-            .project(&moved)
-            .filter(|pixel| camera.contains(pixel))?;
-        let cell = [pixel.x, pixel.y].map(|x| (x.round() as usize) / stride);
-        let plane: &SurfacePoint = planes.at(cell[0], cell[1])?;
-        let is_same = plane.normal.dot(&(moved - plane.fitted)).abs()
-            <= MAX_DEPTH_DIFFERENCE * moved.z
-            && plane
-                .normal
-                .dot(&(second_from_first.rotation * point.normal))
-                >= 0.9;
-        is_same.then(|| PlaneMatch {
+/// The points of every `cell_px`-th pixel.
+fn patch_grid(points: &[SurfacePoint], cell_px: usize, camera: Camera) -> PatchGrid {
+    let [width, height] = [camera.width, camera.height].map(|size| size.div_ceil(cell_px));
+    let mut patches = Image::filled(width, height, None);
+    for point in points {
+        let patch = Patch {
             point: point.fitted,
-            point_row: point.v,
-            plane_point: plane.fitted,
-            plane_normal: plane.normal,
-            plane_row: plane.v,
-        })
-    };
-    first.surface.iter().filter_map(find).collect()
+            normal: point.normal,
+            row: point.v,
+        };
+        patches.set(point.u / cell_px, point.v / cell_px, Some(patch));
+    }
+    PatchGrid {
+        camera,
+        cell_px,
+        patches,
+    }
 }
 
 /// The most textured point of each cell of the image that lies on a smooth surface, away from its
