@@ -67,6 +67,16 @@ impl ColorPair {
         }
     }
 
+    /// The motion between the images.
+    pub fn second_from_first(&self) -> Se3 {
+        self.motion.second_from_first
+    }
+
+    /// The camera's twists at the time of each image.
+    pub fn velocities(&self) -> [Vector6<f64>; 2] {
+        self.motion.velocities
+    }
+
     /// Residual of a point and its derivatives.
     #[inline]
     fn row(
@@ -77,10 +87,10 @@ impl ColorPair {
     ) -> Option<(f64, SVector<f64, 9>)> {
         let first_row = &rows[0][point.row];
         let middle =
-            (self.motion.second_from_first).transform(&first_row.to_middle(&point.position));
+            (self.motion.second_from_first).transform(&first_row.in_middle(&point.position));
         let pixel = readout::pixel(&middle, rows[1], &self.second.camera)?;
         let second_row = &rows[1][nearest_row(pixel.y, rows[1].len())];
-        let (value, by_pose) = brightness(&self.second, &second_row.from_middle(&middle))?;
+        let (value, by_pose) = brightness(&self.second, &second_row.of_middle(&middle))?;
         // The camera's pose moves the point the other way.
         let by_point = -by_pose.fixed_rows::<3>(3);
         let RollingJacobian {
@@ -122,7 +132,7 @@ impl Pair<9> for ColorPair {
 
 /// The readout of the colour camera that best explains the pairs, which are in temporal order: from the
 /// first row to the last, negative from the last to the first. The search starts at `start_secs`.
-/// `None` if too few pairs tell it, as at rest.
-pub fn color_readout(pairs: Vec<ColorPair>, start_secs: f64) -> Option<TimeEstimate> {
+/// `None` if too few pairs tell it, as at rest. The motions of the pairs become those that fit.
+pub fn color_readout(pairs: &mut [ColorPair], start_secs: f64) -> Option<TimeEstimate> {
     readout::fit(pairs, start_secs)
 }

@@ -89,6 +89,11 @@ impl DepthPair {
         }
     }
 
+    /// The motion between the images.
+    pub fn second_from_first(&self) -> Se3 {
+        self.motion.second_from_first
+    }
+
     /// Distance of a point from its plane as a multiple of what a sensor errs by that errs by 1 at 1 m,
     /// and its derivatives.
     #[inline]
@@ -99,13 +104,13 @@ impl DepthPair {
         first_velocity_in_second: &Vector6<f64>,
     ) -> Option<(f64, SVector<f64, 7>)> {
         let first_row = rows[0].get(patch.row)?;
-        let middle = (self.motion.second_from_first).transform(&first_row.to_middle(&patch.point));
+        let middle = (self.motion.second_from_first).transform(&first_row.in_middle(&patch.point));
         let pixel = readout::pixel(&middle, rows[1], &self.second.camera)?;
         let plane = self.second.at(&pixel)?;
         let second_row = rows[1].get(plane.row)?;
         let distance = plane
             .normal
-            .dot(&(second_row.from_middle(&middle) - plane.point));
+            .dot(&(second_row.of_middle(&middle) - plane.point));
         let normal = self.motion.second_from_first.rotation * patch.normal;
         if distance.abs() > MAX_DISTANCE * plane.point.z || normal.dot(&plane.normal) < MIN_COSINE {
             return None;
@@ -148,7 +153,7 @@ impl Pair<7> for DepthPair {
 
 /// The readout of the depth camera that best explains the pairs, which are in temporal order:
 /// [`fgs_geom::DepthSensor::readout_secs`]. The search starts at `start_secs`. `None` if too few pairs
-/// tell it, as at rest.
-pub fn depth_readout(pairs: Vec<DepthPair>, start_secs: f64) -> Option<TimeEstimate> {
+/// tell it, as at rest. The motions of the pairs become those that fit.
+pub fn depth_readout(pairs: &mut [DepthPair], start_secs: f64) -> Option<TimeEstimate> {
     readout::fit(pairs, start_secs)
 }

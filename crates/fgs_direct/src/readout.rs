@@ -58,13 +58,13 @@ impl Row {
 
     /// From the axes of this row to those of the middle row.
     #[inline]
-    pub(crate) fn to_middle(self, point: &Vector3<f64>) -> Vector3<f64> {
+    pub(crate) fn in_middle(self, point: &Vector3<f64>) -> Vector3<f64> {
         self.rotation * point + self.translation
     }
 
     /// From the axes of the middle row to those of this row.
     #[inline]
-    pub(crate) fn from_middle(self, point: &Vector3<f64>) -> Vector3<f64> {
+    pub(crate) fn of_middle(self, point: &Vector3<f64>) -> Vector3<f64> {
         self.rotation.tr_mul(&(point - self.translation))
     }
 }
@@ -75,7 +75,7 @@ pub(crate) fn pixel(middle: &Vector3<f64>, rows: &[Row], camera: &Camera) -> Opt
     let mut pixel = camera.project(middle)?;
     for _ in 0..ROUNDS {
         let row = rows.get(nearest_row(pixel.y, rows.len()))?;
-        pixel = camera.project(&row.from_middle(middle))?;
+        pixel = camera.project(&row.of_middle(middle))?;
     }
     Some(pixel)
 }
@@ -175,10 +175,10 @@ pub(crate) trait Pair<const N: usize>: Send + Sync {
     fn step(&mut self, step: &SVector<f64, N>);
 }
 
-/// The readout that best explains the pairs, which are in temporal order. `None` if too few tell
-/// anything.
+/// The readout that best explains the pairs, which are in temporal order and take their own unknowns
+/// from it. `None` if too few tell anything.
 pub(crate) fn fit<const N: usize>(
-    mut pairs: Vec<impl Pair<N>>,
+    pairs: &mut [impl Pair<N>],
     start_secs: f64,
 ) -> Option<TimeEstimate> {
     let mut readout_secs = start_secs;
@@ -192,22 +192,19 @@ pub(crate) fn fit<const N: usize>(
         if parabolas.len() < MIN_MEASUREMENTS || !is_possible {
             return None;
         }
+        for (pair, solution) in pairs.iter_mut().zip(solutions) {
+            if let Some(Solution {
+                step: own,
+                by_readout,
+                ..
+            }) = solution
+            {
+                pair.step(&(own + by_readout * (step - own[N - 1])));
+            }
+        }
         if step.abs() <= MAX_LAST_STEP {
             return Some(TimeEstimate::at_minimum(readout_secs, &parabolas));
         }
-        pairs = pairs
-            .into_iter()
-            .zip(solutions)
-            .filter_map(|(mut pair, solution)| {
-                let Solution {
-                    step: own,
-                    by_readout,
-                    ..
-                } = solution?;
-                pair.step(&(own + by_readout * (step - own[N - 1])));
-                Some(pair)
-            })
-            .collect();
     }
     None
 }

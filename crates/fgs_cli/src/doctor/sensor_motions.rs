@@ -13,7 +13,7 @@ use fgs_direct::{
 };
 use fgs_geom::{Camera, DepthSensor, Image, RgbdFrame, Se3, has_depth};
 use fgs_gicp::{DepthGrid, Kernel, MIN_EIGENVALUE, Point, PointMap, Settings, SurfacePoint, align};
-use nalgebra::{Vector3, Vector6};
+use nalgebra::{Matrix4, Matrix4x6, Vector3, Vector4, Vector6};
 
 use super::statistics::median;
 
@@ -21,8 +21,8 @@ use super::statistics::median;
 /// the views still overlap.
 const SPANS: [usize; 2] = [6, 16];
 
-/// A velocity is that of this many frames on either side: the error of a single motion would be a
-/// tenth of a hand's velocity.
+/// A velocity is taken from this many frames on either side. With fewer, or by a straight line, the
+/// tremor of a hand would be lost; with one frame it would be noise.
 const VELOCITY_FRAMES: usize = 2;
 
 /// Frames whose motion to earlier ones is measured: enough for a tenth of the usual delays.
@@ -65,11 +65,9 @@ pub struct SensorWatch {
     frames: usize,
     /// The last frames, without interruption.
     recent: VecDeque<Seen>,
-    /// The motions so far, in the order of time.
-    pub motions: Vec<SensorMotion>,
-    /// The same pairs of colour images, ...
+    /// The pairs of colour images so far, in the order of time, ...
     pub color_pairs: Vec<ColorPair>,
-    /// ... and of depth images.
+    /// ... and those of the depth images of the same frames.
     pub depth_pairs: Vec<DepthPair>,
     /// How fast the image moves at its centre in each frame, pixels per second.
     pub speeds_px: Vec<f64>,
@@ -98,11 +96,21 @@ impl SensorWatch {
             every: frames.div_ceil(MEASURED_FRAMES).max(1),
             frames: 0,
             recent: VecDeque::new(),
-            motions: Vec::new(),
             color_pairs: Vec::new(),
             depth_pairs: Vec::new(),
             speeds_px: Vec::new(),
         }
+    }
+
+    /// The motions between the pairs by both sensors.
+    pub fn motions(&self) -> Vec<SensorMotion> {
+        let pairs = self.color_pairs.iter().zip(&self.depth_pairs);
+        let motion = |(color, depth): (&ColorPair, &DepthPair)| SensorMotion {
+            depth_second_from_first: depth.second_from_first(),
+            color_second_from_first: color.second_from_first(),
+            velocities: color.velocities(),
+        };
+        pairs.map(motion).collect()
     }
 
     /// Says that the next frame does not directly follow the last one.
@@ -156,37 +164,37 @@ impl SensorWatch {
                 .checked_sub(span)
                 .filter(|first| *first >= VELOCITY_FRAMES)
                 .map(|first| &self.recent[first]);
-            let Some(first) = first else {
-                continue;
-            };
-            let Some(Pair {
-                motion,
-                color,
-                depth,
-            }) = pair(first, second, &image, &self.camera)
-            else {
-                continue;
-            };
-            self.motions.push(motion);
-            self.color_pairs.push(color);
-            self.depth_pairs.push(depth);
+            if let Some((color, depth)) =
+                first.and_then(|first| pair(first, second, &image, &self.camera))
+            {
+                self.color_pairs.push(color);
+                self.depth_pairs.push(depth);
+            }
         }
     }
 
-    /// The slope of a line through the motions to and from the neighbours, in the camera's axes.
+    /// The slope of a cubic through the motions to the neighbours, in the camera's axes.
     fn velocity(&self, center: usize) -> Option<Vector6<f64>> {
         let first = center.checked_sub(VELOCITY_FRAMES)?;
-        let around = self.recent.range(first..=center + VELOCITY_FRAMES);
-        let mean = around.clone().map(|seen| seen.timestamp_secs).sum::<f64>()
-            / (2 * VELOCITY_FRAMES + 1) as f64;
-        let (mut sum, mut squares) = (Vector6::zeros(), 0.0);
-        let center_from_start = self.recent[center].start_from_camera.inverse();
-        for seen in around {
-            let time = seen.timestamp_secs - mean;
-            sum += time * (center_from_start * seen.start_from_camera).log();
-            squares += time * time;
+        let last = center + VELOCITY_FRAMES;
+        let Seen {
+            timestamp_secs,
+            start_from_camera,
+            ..
+        } = &self.recent[center];
+        // In units of the time between the neighbours.
+        let unit_secs = self.recent.get(last)?.timestamp_secs - self.recent[first].timestamp_secs;
+        let center_from_start = start_from_camera.inverse();
+        let (mut squares, mut products) = (Matrix4::zeros(), Matrix4x6::zeros());
+        for seen in self.recent.range(first..=last) {
+            let time = (seen.timestamp_secs - timestamp_secs) / unit_secs;
+            let powers = Vector4::new(1.0, time, time.powi(2), time.powi(3));
+            let motion = (center_from_start * seen.start_from_camera).log();
+            squares += powers * powers.transpose();
+            products += powers * motion.transpose();
         }
-        Some(sum / squares)
+        let coefficients = squares.cholesky()?.solve(&products);
+        Some(coefficients.row(1).transpose() / unit_secs)
     }
 }
 
@@ -237,15 +245,14 @@ impl Seen {
     }
 }
 
-/// What two frames tell about the times of both sensors.
-struct Pair {
-    motion: SensorMotion,
-    color: ColorPair,
-    depth: DepthPair,
-}
-
-/// `None` if the views overlap too little. `image` is the second's.
-fn pair(first: &Seen, second: &Seen, image: &Arc<IntensityImage>, camera: &Camera) -> Option<Pair> {
+/// The colour and the depth images of two frames, aligned without regard to the readout; `None` if the
+/// views overlap too little. `image` is the second's.
+fn pair(
+    first: &Seen,
+    second: &Seen,
+    image: &Arc<IntensityImage>,
+    camera: &Camera,
+) -> Option<(ColorPair, DepthPair)> {
     let settings = Settings {
         max_correspondence_distance_m: 0.06,
         kernel: Kernel::Cauchy { scale_m: 0.01 },
@@ -281,12 +288,11 @@ fn pair(first: &Seen, second: &Seen, image: &Arc<IntensityImage>, camera: &Camer
     }
     let aligned = align_images(&first.brightness, &second.brightness, &points, &start)?;
     let velocities = [first.velocity, second.velocity];
-    let color_second_from_first = aligned.second_from_first;
     let color = ColorPair::new(
         first.brightness.levels.first()?,
         Arc::clone(image),
         &points,
-        color_second_from_first,
+        aligned.second_from_first,
         velocities,
     );
     let depth_from_color = first.sensor.color_from_depth.inverse().adjoint();
@@ -296,15 +302,7 @@ fn pair(first: &Seen, second: &Seen, image: &Arc<IntensityImage>, camera: &Camer
         depth_second_from_first,
         velocities.map(|velocity| depth_from_color * velocity),
     );
-    Some(Pair {
-        motion: SensorMotion {
-            depth_second_from_first,
-            color_second_from_first,
-            velocities,
-        },
-        color,
-        depth,
-    })
+    Some((color, depth))
 }
 
 /// The points of every `cell_px`-th pixel.
@@ -404,7 +402,7 @@ mod tests {
                 delay_secs: 0.0,
                 ..truth
             };
-            let found = depth_delay(&watch.motions, &given).unwrap();
+            let found = depth_delay(&watch.motions(), &given).unwrap();
             assert!((found.secs - delay_secs).abs() <= 5e-4, "{found:?}");
         }
     }
@@ -416,14 +414,14 @@ mod tests {
             ..DepthSensor::default()
         };
         let rest = watch(|_| Se3::identity(), &late);
-        assert!(depth_delay(&rest.motions, &DepthSensor::default()).is_none());
+        assert!(depth_delay(&rest.motions(), &DepthSensor::default()).is_none());
         assert!(rest.speeds_px.iter().all(|speed| *speed <= 0.1));
         let shake = |t: f64| {
             let (x, y) = (0.1 * (5.0 * t).sin(), 0.08 * (4.0 * t).cos());
             Se3::exp(&Vector6::new(0.0, 0.0, 0.0, x, y, 0.0))
         };
         let shaken = watch(shake, &late);
-        let found = depth_delay(&shaken.motions, &DepthSensor::default()).unwrap();
+        let found = depth_delay(&shaken.motions(), &DepthSensor::default()).unwrap();
         assert!((found.secs + 0.012).abs() <= 1e-3, "{found:?}");
         // 180 px * 0.4 m/s / 2 m.
         let speed = median(shaken.speeds_px).unwrap();
@@ -440,6 +438,6 @@ mod tests {
             watch.add(&test_room::frame(i));
         }
         // Twice, those that end at the frames 8 to 17 of 20.
-        assert_eq!(watch.motions.len(), 20);
+        assert_eq!(watch.motions().len(), 20);
     }
 }

@@ -11,9 +11,19 @@ use super::statistics::median;
 use super::time_check::TimeCheck;
 
 /// Compares with the given camera.
-pub fn checks(watch: SensorWatch, given: &CameraFile) -> [Check; 3] {
-    let speed_px = median(watch.speeds_px);
+pub fn checks(mut watch: SensorWatch, given: &CameraFile) -> [Check; 3] {
+    let speed_px = median(watch.speeds_px.clone());
     let sensor = given.depth_sensor();
+    let (color_secs, depth_secs) = (given.color_readout_secs(), sensor.readout_secs);
+    let mut motions = watch.motions();
+    let color_found = color_readout(&mut watch.color_pairs, color_secs);
+    let depth_found = depth_readout(&mut watch.depth_pairs, depth_secs);
+    if color_found.is_some() && depth_found.is_some() {
+        // Those between the middle rows: without the distortion by the shutters, which differs between
+        // the sensors.
+        motions = watch.motions();
+    }
+    let delay_found = depth_delay(&motions, sensor);
     let delay = TimeCheck {
         name: "depth delay",
         what: "depth is later than colour by",
@@ -34,22 +44,9 @@ pub fn checks(watch: SensorWatch, given: &CameraFile) -> [Check; 3] {
         key: "depth_readout_secs",
         ..of_color
     };
-    let (color_secs, depth_secs) = (given.color_readout_secs(), sensor.readout_secs);
     [
-        delay.judge(
-            depth_delay(&watch.motions, sensor),
-            speed_px,
-            sensor.delay_secs,
-        ),
-        of_color.judge(
-            color_readout(watch.color_pairs, color_secs),
-            speed_px,
-            color_secs,
-        ),
-        of_depth.judge(
-            depth_readout(watch.depth_pairs, depth_secs),
-            speed_px,
-            depth_secs,
-        ),
+        delay.judge(delay_found, speed_px, sensor.delay_secs),
+        of_color.judge(color_found, speed_px, color_secs),
+        of_depth.judge(depth_found, speed_px, depth_secs),
     ]
 }
