@@ -208,3 +208,7 @@ pub(crate) fn fit<const N: usize>(
     }
     None
 }
+
+#[cfg(test)]
+#[path = "readout_tests.rs"]
+mod tests;
