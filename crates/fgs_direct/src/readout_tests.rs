@@ -223,3 +223,16 @@ fn derivatives_are_those_of_differences() {
         assert!(expected.abs() >= 1e-3);
     }
 }
+
+#[test]
+fn a_point_is_seen_by_the_row_that_it_appears_in() {
+    let camera = camera();
+    let rows = Row::all(120, &Vector6::new(1.5, -1.0, 0.5, 0.3, 0.4, 0.2), 0.03);
+    for (u, v) in [(20.0, 10.0), (80.0, 60.0), (140.0, 100.0)] {
+        let middle = camera.unproject(u, v, 1.5);
+        let found = pixel(&middle, &rows, &camera).unwrap();
+        let row = &rows[nearest_row(found.y, 120)];
+        let expected = camera.project(&row.of_middle(&middle)).unwrap();
+        assert!((found - expected).amax() <= 1e-9, "{found} {expected}");
+    }
+}

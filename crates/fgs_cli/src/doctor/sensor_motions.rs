@@ -364,7 +364,8 @@ fn textured(
 
 #[cfg(test)]
 mod tests {
-    use fgs_direct::depth_delay;
+    use fgs_direct::{color_readout, depth_delay, depth_readout};
+    use fgs_geom::row_delay_secs;
 
     use super::*;
     use crate::doctor::test_room;
@@ -405,6 +406,35 @@ mod tests {
             let found = depth_delay(&watch.motions(), &given).unwrap();
             assert!((found.secs - delay_secs).abs() <= 5e-4, "{found:?}");
         }
+    }
+
+    #[test]
+    fn the_readouts_of_both_sensors_and_the_delay_between_them_are_measured() {
+        let [color_secs, depth_secs, delay_secs] = [0.025, 0.032, -0.01];
+        let height = test_room::camera().height;
+        let mut watch = SensorWatch::new(test_room::camera(), FRAMES);
+        for i in 0..FRAMES {
+            // Twice as fast as the walk.
+            let pose = |readout_secs: f64, delay_secs: f64| {
+                let start = i as f64 / 30.0 + delay_secs;
+                move |v| {
+                    let t = start + row_delay_secs(v, height, readout_secs);
+                    test_room::world_from_camera_at(2.0 * t)
+                }
+            };
+            watch.add(&test_room::frame_of_rows(
+                i,
+                pose(color_secs, 0.0),
+                pose(depth_secs, delay_secs),
+            ));
+        }
+        let color = color_readout(&mut watch.color_pairs, 0.0).unwrap();
+        let depth = depth_readout(&mut watch.depth_pairs, 0.0).unwrap();
+        let delay = depth_delay(&watch.motions(), &DepthSensor::default()).unwrap();
+        // Some per cent: the velocities are those of distorted images.
+        assert!((color.secs - color_secs).abs() <= 1.5e-3, "{color:?}");
+        assert!((depth.secs - depth_secs).abs() <= 1.5e-3, "{depth:?}");
+        assert!((delay.secs - delay_secs).abs() <= 5e-4, "{delay:?}");
     }
 
     #[test]
