@@ -14,6 +14,9 @@
 use fgs_geom::{DepthSensor, Se3};
 use nalgebra::{Matrix6, Vector6};
 
+use crate::TimeEstimate;
+use crate::time_estimate::{MIN_MEASUREMENTS, Parabola};
+
 /// Maximum number of Gauss-Newton steps. Five are typical; some dozens are needed where it is
 /// unclear whether a few motions are outliers.
 const MAX_ITERATIONS: usize = 100;
@@ -31,13 +34,6 @@ const COVARIANCE_ITERATIONS: usize = 5;
 /// Lower bound on the registration error, rad and metres.
 const MIN_NOISE: f64 = 1e-5;
 
-/// Number of blocks of the recording for the standard error. Errors of motions close in time are
-/// correlated; those of such large blocks are taken as independent.
-const BLOCKS: usize = 6;
-
-/// Minimum number of motions: the covariance of their errors alone has 21 parameters.
-const MIN_MOTIONS: usize = 15;
-
 /// The motion between two frames, as measured by both sensors.
 #[derive(Clone, Debug)]
 pub struct SensorMotion {
@@ -51,55 +47,11 @@ pub struct SensorMotion {
     pub velocities: [Vector6<f64>; 2],
 }
 
-/// Result of [`depth_delay`].
-#[derive(Clone, Debug)]
-pub struct DepthDelay {
-    /// [`DepthSensor::delay_secs`].
-    pub delay_secs: f64,
-    /// Standard error of the delay, from the scatter between parts of the recording, seconds.
-    pub standard_error_secs: f64,
-    /// Estimates from the first, middle and last third of the motions alone; `None` if these are
-    /// too few.
-    pub thirds_secs: Option<[f64; 3]>,
-}
-
 /// The delay of a depth sensor with known extrinsics that best explains the motions, which must be
 /// in temporal order. The search starts at the delay of `given`. `None` if there are too few
 /// motions or if they do not constrain the delay at all, as at rest and at constant velocity.
-pub fn depth_delay(motions: &[SensorMotion], given: &DepthSensor) -> Option<DepthDelay> {
-    let (delay_secs, standard_error_secs) = fit(motions, given)?;
-    let third = |i: usize| {
-        let part = &motions[i * motions.len() / 3..(i + 1) * motions.len() / 3];
-        fit(part, given).map(|(delay, _)| delay)
-    };
-    let thirds = third(0).zip(third(1)).zip(third(2));
-    let thirds_secs = thirds.map(|((a, b), c)| [a, b, c]);
-    let spread = thirds_secs.map_or(0.0, |delays| {
-        let mean = delays.iter().sum::<f64>() / 3.0;
-        (delays
-            .iter()
-            .map(|delay| (delay - mean).powi(2))
-            .sum::<f64>()
-            / 6.0)
-            .sqrt()
-    });
-    Some(DepthDelay {
-        delay_secs,
-        standard_error_secs: standard_error_secs.max(spread),
-        thirds_secs,
-    })
-}
-
-/// Residual between predicted and measured motion of the colour camera, and its derivative with
-/// respect to the delay.
-struct Row {
-    residual: Vector6<f64>,
-    by_delay: Vector6<f64>,
-}
-
-/// The delay and its standard error.
-fn fit(motions: &[SensorMotion], given: &DepthSensor) -> Option<(f64, f64)> {
-    if motions.len() < MIN_MOTIONS {
+pub fn depth_delay(motions: &[SensorMotion], given: &DepthSensor) -> Option<TimeEstimate> {
+    if motions.len() < MIN_MEASUREMENTS {
         return None;
     }
     let mut sensor = *given;
@@ -110,26 +62,31 @@ fn fit(motions: &[SensorMotion], given: &DepthSensor) -> Option<(f64, f64)> {
         let noise = student_covariance(&rows, start)?;
         covariance = Some(noise);
         let information = noise.cholesky()?.inverse();
-        let mut hessian = 0.0;
-        let mut gradients = [0.0; BLOCKS];
-        for (i, Row { residual, by_delay }) in rows.iter().enumerate() {
+        let parabola = |Row { residual, by_delay }: &Row| {
             let weighted = student_weight(residual, &information) * information * by_delay;
-            hessian += weighted.dot(by_delay);
-            gradients[i * BLOCKS / rows.len()] += weighted.dot(residual);
-        }
-        let step = -gradients.iter().sum::<f64>() / hessian;
+            Parabola {
+                slope: weighted.dot(residual),
+                curvature: weighted.dot(by_delay),
+            }
+        };
+        let parabolas: Vec<_> = rows.iter().map(parabola).collect();
+        let step = Parabola::sum(&parabolas).step();
         if !step.is_finite() {
             return None;
         }
         sensor.delay_secs += step;
         if step.abs() <= MAX_LAST_STEP {
-            let blocks = BLOCKS as f64;
-            let spread: f64 = gradients.iter().map(|gradient| gradient * gradient).sum();
-            let standard_error = (spread * blocks / (blocks - 1.0)).sqrt() / hessian;
-            return Some((sensor.delay_secs, standard_error));
+            return Some(TimeEstimate::at_minimum(sensor.delay_secs, &parabolas));
         }
     }
     None
+}
+
+/// Residual between predicted and measured motion of the colour camera, and its derivative with
+/// respect to the delay.
+struct Row {
+    residual: Vector6<f64>,
+    by_delay: Vector6<f64>,
 }
 
 /// With `X_i = exp(delay w_i) color_from_depth`, the colour camera should move by `X_2 D X_1^-1`

@@ -66,7 +66,7 @@ fn the_delay_is_found() {
             let found = depth_delay(&motions(&walk, &truth, 0.0), &given).unwrap();
             // The velocity changes within the delay: by 2 rad/s^2 * delay / 2, that is 2 % of 0.7
             // rad/s.
-            let error = (found.delay_secs - delay_secs).abs();
+            let error = (found.secs - delay_secs).abs();
             assert!(error <= 1e-6 + 0.01 * delay_secs.abs(), "{error}");
             for third in found.thirds_secs.unwrap() {
                 assert!((third - delay_secs).abs() <= 1e-6 + 0.03 * delay_secs.abs());
@@ -84,7 +84,7 @@ fn standard_errors_tell_the_error() {
     // 300 motions with velocity changes of 0.5 rad/s: 0.002 / 0.5 / sqrt(300) = 0.2 ms.
     let expected = 5e-5..6e-4;
     assert!(expected.contains(&noisy.standard_error_secs), "{noisy:?}");
-    let error = (noisy.delay_secs - exact.delay_secs).abs();
+    let error = (noisy.secs - exact.secs).abs();
     assert!(error <= 3.0 * noisy.standard_error_secs, "{error}");
     // Too few motions to split into thirds.
     let few = depth_delay(&motions(&walk, &truth, 0.002)[..40], &given).unwrap();
@@ -113,7 +113,7 @@ fn outliers_do_not_matter() {
         motion.depth_second_from_first = slip * motion.depth_second_from_first;
     }
     let found = depth_delay(&motions, &DepthSensor::default()).unwrap();
-    assert!((found.delay_secs + 0.012).abs() <= 5e-4, "{found:?}");
+    assert!((found.secs + 0.012).abs() <= 5e-4, "{found:?}");
 }
 
 #[test]
@@ -131,11 +131,11 @@ fn a_camera_that_only_moves_or_only_rests() {
         ))
     };
     let found = depth_delay(&motions(&shake, &truth, 0.0005), &given).unwrap();
-    assert!((found.delay_secs + 0.012).abs() <= 4.0 * found.standard_error_secs);
+    assert!((found.secs + 0.012).abs() <= 4.0 * found.standard_error_secs);
     assert!(found.standard_error_secs <= 5e-4);
     let rest = |_| Se3::identity();
     assert!(depth_delay(&motions(&rest, &truth, 0.0), &given).is_none());
-    assert!(depth_delay(&motions(&walk, &truth, 0.0)[..MIN_MOTIONS - 1], &given).is_none());
+    assert!(depth_delay(&motions(&walk, &truth, 0.0)[..MIN_MEASUREMENTS - 1], &given).is_none());
 }
 
 #[test]

@@ -6,13 +6,13 @@
 //! pyramid level to the finest.
 
 use fgs_geom::Se3;
-use nalgebra::{Matrix6, SMatrix, SVector, Vector3, Vector6};
+use nalgebra::{Matrix6, SVector, Vector3, Vector6};
 
-use crate::residual::{self, noise_of};
+use crate::normal_equations::NormalEquations;
+use crate::residual;
 use crate::{IntensityImage, IntensityPyramid};
 
 type Vector8 = SVector<f64, 8>;
-type Matrix8 = SMatrix<f64, 8, 8>;
 
 /// Maximum number of steps at the finest level. Image noise adds to the squared gradients and so
 /// makes the steps too short; most images take 5 to 20.
@@ -28,14 +28,8 @@ const MAX_LAST_TURN: f64 = 1e-4;
 /// bilinear interpolation has kinks.
 const MAX_LAST_SHIFT: f64 = 3e-4;
 
-/// Fewer points do not determine motion, gain and offset reliably.
-const MIN_POINTS: usize = 50;
-
 /// Half a quantisation step of 8-bit images: a floor on the noise of the residuals.
-const MIN_NOISE: f64 = 0.5 / 255.0;
-
-/// Residual at which the weight is 1/2, in standard deviations: 95 % efficiency for Gaussian noise.
-const CAUCHY: f64 = 2.385;
+pub(crate) const MIN_NOISE: f64 = 0.5 / 255.0;
 
 /// Result of aligning two images.
 #[derive(Clone, Debug)]
@@ -47,13 +41,6 @@ pub struct ImageAlignment {
     pub information: Matrix6<f64>,
     /// Standard deviation of the residuals, brightness from 0 to 1.
     pub noise: f64,
-}
-
-/// Normal equations for `[omega, v, gain, offset]`.
-struct NormalEquations {
-    hessian: Matrix8,
-    gradient: Vector8,
-    noise: f64,
 }
 
 #[derive(Clone, Copy)]
@@ -137,33 +124,17 @@ fn row(
     Some((value - state.gain * brightness - state.offset, jacobian))
 }
 
+/// Normal equations for `[omega, v, gain, offset]`.
 fn linearize(
     points: &[(Vector3<f64>, f64)],
     second: &IntensityImage,
     state: &State,
-) -> Option<NormalEquations> {
+) -> Option<NormalEquations<8>> {
     let rows: Vec<(f64, Vector8)> = points
         .iter()
         .filter_map(|(point, brightness)| row(point, *brightness, second, state))
         .collect();
-    if rows.len() < MIN_POINTS {
-        return None;
-    }
-    let mut sizes: Vec<f64> = rows.iter().map(|(residual, _)| residual.abs()).collect();
-    let noise = noise_of(&mut sizes).max(MIN_NOISE);
-    let mut hessian = Matrix8::zeros();
-    let mut gradient = Vector8::zeros();
-    for (residual, jacobian) in &rows {
-        let weight = 1.0 / (1.0 + (residual / (CAUCHY * noise)).powi(2)) / (noise * noise);
-        hessian.syger(weight, jacobian, jacobian, 1.0);
-        gradient += weight * *residual * jacobian;
-    }
-    hessian.fill_upper_triangle_with_lower_triangle();
-    Some(NormalEquations {
-        hessian,
-        gradient,
-        noise,
-    })
+    NormalEquations::robust(&rows, MIN_NOISE)
 }
 
 #[cfg(test)]

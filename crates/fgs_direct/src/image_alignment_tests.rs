@@ -2,6 +2,7 @@ use fgs_geom::{Camera, FrameIndex, Image, Intrinsics, RgbdFrame};
 use num_dual::Dual64;
 
 use super::*;
+use crate::normal_equations::MIN_POINTS;
 
 fn camera() -> Camera {
     let intrinsics = Intrinsics {

@@ -5,7 +5,6 @@
 //! the survey has collected into one line of the [`report`].
 
 mod color_misfit;
-mod depth_delay;
 mod depth_scale;
 mod depth_to_color;
 mod exposure;
@@ -19,12 +18,14 @@ mod poses;
 mod report;
 mod self_calibration;
 mod sensor_motions;
+mod sensor_times;
 mod statistics;
 mod survey;
 #[cfg(test)]
 mod test_room;
 #[cfg(test)]
 mod tests;
+mod time_check;
 mod timing;
 mod valid_depth;
 
@@ -119,8 +120,8 @@ fn examine(dataset: &Dataset, progress: impl FnMut()) -> Report {
         edges,
         neighbors::check(&survey.pairs.lost, survey.depth_shares.len()),
         intrinsics,
-        depth_delay::check(&survey.sensors, dataset.camera_file().depth_sensor()),
     ];
+    checks.extend(sensor_times::checks(survey.sensors, dataset.camera_file()));
     let mut motion_fit = None;
     if let Some(truth) = dataset.ground_truth() {
         let (motions, poses): (Vec<Motion>, Vec<[Se3; 2]>) = pairs

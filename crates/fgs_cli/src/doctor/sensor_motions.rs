@@ -5,11 +5,15 @@
 //! twice: by registering their depth and by aligning their colour images.
 
 use std::collections::VecDeque;
+use std::sync::Arc;
 
-use fgs_direct::{IntensityPyramid, SensorMotion, align_images};
+use fgs_direct::{
+    ColorPair, DepthPair, IntensityImage, IntensityPyramid, Patch, PatchGrid, SensorMotion,
+    align_images,
+};
 use fgs_geom::{Camera, DepthSensor, Image, RgbdFrame, Se3, has_depth};
-use fgs_gicp::{DepthGrid, Kernel, MIN_EIGENVALUE, Point, PointMap, Settings, align};
-use nalgebra::{Vector3, Vector6};
+use fgs_gicp::{DepthGrid, Kernel, MIN_EIGENVALUE, Point, PointMap, Settings, SurfacePoint, align};
+use nalgebra::{Matrix4, Matrix4x6, Vector3, Vector4, Vector6};
 
 use super::statistics::median;
 
@@ -17,8 +21,8 @@ use super::statistics::median;
 /// the views still overlap.
 const SPANS: [usize; 2] = [6, 16];
 
-/// A velocity is that of this many frames on either side: the error of a single motion would be a
-/// tenth of a hand's velocity.
+/// A velocity is taken from this many frames on either side. With fewer, or by a straight line, the
+/// tremor of a hand would be lost; with one frame it would be noise.
 const VELOCITY_FRAMES: usize = 2;
 
 /// Frames whose motion to earlier ones is measured: enough for a tenth of the usual delays.
@@ -61,8 +65,10 @@ pub struct SensorWatch {
     frames: usize,
     /// The last frames, without interruption.
     recent: VecDeque<Seen>,
-    /// The motions so far, in the order of time.
-    pub motions: Vec<SensorMotion>,
+    /// The pairs of colour images so far, in the order of time, ...
+    pub color_pairs: Vec<ColorPair>,
+    /// ... and those of the depth images of the same frames.
+    pub depth_pairs: Vec<DepthPair>,
     /// How fast the image moves at its centre in each frame, pixels per second.
     pub speeds_px: Vec<f64>,
 }
@@ -76,6 +82,7 @@ struct Seen {
     /// Textured places, in the depth sensor's axes.
     textured: Vec<Vector3<f64>>,
     surface: Vec<Point>,
+    patches: Arc<PatchGrid>,
     /// The colour camera's pose by the alignment of neighbours.
     start_from_camera: Se3,
     velocity: Vector6<f64>,
@@ -89,9 +96,21 @@ impl SensorWatch {
             every: frames.div_ceil(MEASURED_FRAMES).max(1),
             frames: 0,
             recent: VecDeque::new(),
-            motions: Vec::new(),
+            color_pairs: Vec::new(),
+            depth_pairs: Vec::new(),
             speeds_px: Vec::new(),
         }
+    }
+
+    /// The motions between the pairs by both sensors.
+    pub fn motions(&self) -> Vec<SensorMotion> {
+        let pairs = self.color_pairs.iter().zip(&self.depth_pairs);
+        let motion = |(color, depth): (&ColorPair, &DepthPair)| SensorMotion {
+            depth_second_from_first: depth.second_from_first(),
+            color_second_from_first: color.second_from_first(),
+            velocities: color.velocities(),
+        };
+        pairs.map(motion).collect()
     }
 
     /// Says that the next frame does not directly follow the last one.
@@ -136,30 +155,46 @@ impl SensorWatch {
         if !self.frames.is_multiple_of(self.every) {
             return;
         }
+        let Some(image) = second.brightness.levels.first() else {
+            return;
+        };
+        let image = Arc::new(image.clone());
         for span in SPANS {
             let first = last
                 .checked_sub(span)
                 .filter(|first| *first >= VELOCITY_FRAMES)
                 .map(|first| &self.recent[first]);
-            let motion = first.and_then(|first| motion(first, second, &self.camera));
-            self.motions.extend(motion);
+            if let Some((color, depth)) =
+                first.and_then(|first| pair(first, second, &image, &self.camera))
+            {
+                self.color_pairs.push(color);
+                self.depth_pairs.push(depth);
+            }
         }
     }
 
-    /// The slope of a line through the motions to and from the neighbours, in the camera's axes.
+    /// The slope of a cubic through the motions to the neighbours, in the camera's axes.
     fn velocity(&self, center: usize) -> Option<Vector6<f64>> {
         let first = center.checked_sub(VELOCITY_FRAMES)?;
-        let around = self.recent.range(first..=center + VELOCITY_FRAMES);
-        let mean = around.clone().map(|seen| seen.timestamp_secs).sum::<f64>()
-            / (2 * VELOCITY_FRAMES + 1) as f64;
-        let (mut sum, mut squares) = (Vector6::zeros(), 0.0);
-        let center_from_start = self.recent[center].start_from_camera.inverse();
-        for seen in around {
-            let time = seen.timestamp_secs - mean;
-            sum += time * (center_from_start * seen.start_from_camera).log();
-            squares += time * time;
+        let last = center + VELOCITY_FRAMES;
+        let Seen {
+            timestamp_secs,
+            start_from_camera,
+            ..
+        } = &self.recent[center];
+        // In units of the time between the neighbours.
+        let unit_secs = self.recent.get(last)?.timestamp_secs - self.recent[first].timestamp_secs;
+        let center_from_start = start_from_camera.inverse();
+        let (mut squares, mut products) = (Matrix4::zeros(), Matrix4x6::zeros());
+        for seen in self.recent.range(first..=last) {
+            let time = (seen.timestamp_secs - timestamp_secs) / unit_secs;
+            let powers = Vector4::new(1.0, time, time.powi(2), time.powi(3));
+            let motion = (center_from_start * seen.start_from_camera).log();
+            squares += powers * powers.transpose();
+            products += powers * motion.transpose();
         }
-        Some(sum / squares)
+        let coefficients = squares.cholesky()?.solve(&products);
+        Some(coefficients.row(1).transpose() / unit_secs)
     }
 }
 
@@ -177,7 +212,7 @@ impl Seen {
             ..DepthGrid::default()
         };
         let surface = grid.surface_points(depth_m, camera);
-        let disk = |point: &fgs_gicp::SurfacePoint| point.disk(MIN_EIGENVALUE, NOISE_POWER);
+        let disk = |point: &SurfacePoint| point.disk(MIN_EIGENVALUE, NOISE_POWER);
         Self {
             timestamp_secs: frame.timestamp_secs,
             depth_m: depth_m.clone(),
@@ -185,6 +220,7 @@ impl Seen {
             textured: textured(&brightness, depth_m, camera),
             brightness,
             surface: surface.iter().map(disk).collect(),
+            patches: Arc::new(patch_grid(&surface, grid.stride_px, *camera)),
             start_from_camera: Se3::identity(),
             velocity: Vector6::zeros(),
         }
@@ -209,8 +245,14 @@ impl Seen {
     }
 }
 
-/// The motion between two frames by both sensors; `None` if the views overlap too little.
-fn motion(first: &Seen, second: &Seen, camera: &Camera) -> Option<SensorMotion> {
+/// The colour and the depth images of two frames, aligned without regard to the readout; `None` if the
+/// views overlap too little. `image` is the second's.
+fn pair(
+    first: &Seen,
+    second: &Seen,
+    image: &Arc<IntensityImage>,
+    camera: &Camera,
+) -> Option<(ColorPair, DepthPair)> {
     let settings = Settings {
         max_correspondence_distance_m: 0.06,
         kernel: Kernel::Cauchy { scale_m: 0.01 },
@@ -245,11 +287,41 @@ fn motion(first: &Seen, second: &Seen, camera: &Camera) -> Option<SensorMotion> 
         return None;
     }
     let aligned = align_images(&first.brightness, &second.brightness, &points, &start)?;
-    Some(SensorMotion {
+    let velocities = [first.velocity, second.velocity];
+    let color = ColorPair::new(
+        first.brightness.levels.first()?,
+        Arc::clone(image),
+        &points,
+        aligned.second_from_first,
+        velocities,
+    );
+    let depth_from_color = first.sensor.color_from_depth.inverse().adjoint();
+    let depth = DepthPair::new(
+        Arc::clone(&first.patches),
+        Arc::clone(&second.patches),
         depth_second_from_first,
-        color_second_from_first: aligned.second_from_first,
-        velocities: [first.velocity, second.velocity],
-    })
+        velocities.map(|velocity| depth_from_color * velocity),
+    );
+    Some((color, depth))
+}
+
+/// The points of every `cell_px`-th pixel.
+fn patch_grid(points: &[SurfacePoint], cell_px: usize, camera: Camera) -> PatchGrid {
+    let [width, height] = [camera.width, camera.height].map(|size| size.div_ceil(cell_px));
+    let mut patches = Image::filled(width, height, None);
+    for point in points {
+        let patch = Patch {
+            point: point.fitted,
+            normal: point.normal,
+            row: point.v,
+        };
+        patches.set(point.u / cell_px, point.v / cell_px, Some(patch));
+    }
+    PatchGrid {
+        camera,
+        cell_px,
+        patches,
+    }
 }
 
 /// The most textured point of each cell of the image that lies on a smooth surface, away from its
@@ -292,7 +364,8 @@ fn textured(
 
 #[cfg(test)]
 mod tests {
-    use fgs_direct::depth_delay;
+    use fgs_direct::{color_readout, depth_delay, depth_readout};
+    use fgs_geom::row_delay_secs;
 
     use super::*;
     use crate::doctor::test_room;
@@ -330,9 +403,38 @@ mod tests {
                 delay_secs: 0.0,
                 ..truth
             };
-            let found = depth_delay(&watch.motions, &given).unwrap();
-            assert!((found.delay_secs - delay_secs).abs() <= 5e-4, "{found:?}");
+            let found = depth_delay(&watch.motions(), &given).unwrap();
+            assert!((found.secs - delay_secs).abs() <= 5e-4, "{found:?}");
         }
+    }
+
+    #[test]
+    fn the_readouts_of_both_sensors_and_the_delay_between_them_are_measured() {
+        let [color_secs, depth_secs, delay_secs] = [0.025, 0.032, -0.01];
+        let height = test_room::camera().height;
+        let mut watch = SensorWatch::new(test_room::camera(), FRAMES);
+        for i in 0..FRAMES {
+            // Twice as fast as the walk.
+            let pose = |readout_secs: f64, delay_secs: f64| {
+                let start = i as f64 / 30.0 + delay_secs;
+                move |v| {
+                    let t = start + row_delay_secs(v, height, readout_secs);
+                    test_room::world_from_camera_at(2.0 * t)
+                }
+            };
+            watch.add(&test_room::frame_of_rows(
+                i,
+                pose(color_secs, 0.0),
+                pose(depth_secs, delay_secs),
+            ));
+        }
+        let color = color_readout(&mut watch.color_pairs, 0.0).unwrap();
+        let depth = depth_readout(&mut watch.depth_pairs, 0.0).unwrap();
+        let delay = depth_delay(&watch.motions(), &DepthSensor::default()).unwrap();
+        // Some per cent: the velocities are those of distorted images.
+        assert!((color.secs - color_secs).abs() <= 1.5e-3, "{color:?}");
+        assert!((depth.secs - depth_secs).abs() <= 1.5e-3, "{depth:?}");
+        assert!((delay.secs - delay_secs).abs() <= 5e-4, "{delay:?}");
     }
 
     #[test]
@@ -342,15 +444,15 @@ mod tests {
             ..DepthSensor::default()
         };
         let rest = watch(|_| Se3::identity(), &late);
-        assert!(depth_delay(&rest.motions, &DepthSensor::default()).is_none());
+        assert!(depth_delay(&rest.motions(), &DepthSensor::default()).is_none());
         assert!(rest.speeds_px.iter().all(|speed| *speed <= 0.1));
         let shake = |t: f64| {
             let (x, y) = (0.1 * (5.0 * t).sin(), 0.08 * (4.0 * t).cos());
             Se3::exp(&Vector6::new(0.0, 0.0, 0.0, x, y, 0.0))
         };
         let shaken = watch(shake, &late);
-        let found = depth_delay(&shaken.motions, &DepthSensor::default()).unwrap();
-        assert!((found.delay_secs + 0.012).abs() <= 1e-3, "{found:?}");
+        let found = depth_delay(&shaken.motions(), &DepthSensor::default()).unwrap();
+        assert!((found.secs + 0.012).abs() <= 1e-3, "{found:?}");
         // 180 px * 0.4 m/s / 2 m.
         let speed = median(shaken.speeds_px).unwrap();
         assert!((20.0..50.0).contains(&speed), "{speed}");
@@ -366,6 +468,6 @@ mod tests {
             watch.add(&test_room::frame(i));
         }
         // Twice, those that end at the frames 8 to 17 of 20.
-        assert_eq!(watch.motions.len(), 20);
+        assert_eq!(watch.motions().len(), 20);
     }
 }

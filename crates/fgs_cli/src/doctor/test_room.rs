@@ -46,6 +46,15 @@ pub fn frame(index: usize) -> RgbdFrame {
 
 /// A frame whose colour and depth were measured from different poses.
 pub fn frame_of_sensors(index: usize, world_from_color: &Se3, world_from_depth: &Se3) -> RgbdFrame {
+    frame_of_rows(index, |_| *world_from_color, |_| *world_from_depth)
+}
+
+/// A frame each row of whose colour and depth was measured from another pose.
+pub fn frame_of_rows(
+    index: usize,
+    world_from_color: impl Fn(usize) -> Se3,
+    world_from_depth: impl Fn(usize) -> Se3,
+) -> RgbdFrame {
     let color = see(world_from_color).map(|pixel| pixel.1);
     let depth_m = see(world_from_depth).map(|pixel| pixel.0);
     RgbdFrame::new(
@@ -58,10 +67,11 @@ pub fn frame_of_sensors(index: usize, world_from_color: &Se3, world_from_depth: 
     .unwrap()
 }
 
-/// Depth and colour of every pixel.
-fn see(pose: &Se3) -> Image<(f32, [u8; 3])> {
+/// Depth and colour of every pixel, given the pose of its row.
+fn see(pose: impl Fn(usize) -> Se3) -> Image<(f32, [u8; 3])> {
     let camera = camera();
     Image::from_fn(camera.width, camera.height, |u, v| {
+        let pose = pose(v);
         let direction = pose.rotation * camera.ray(u as f64, v as f64);
         let hit = |[low, high]: &[[f64; 3]; 2]| meet(&pose.translation, &direction, low, high);
         let depth = BOXES
