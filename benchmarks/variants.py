@@ -16,25 +16,32 @@ from concurrent.futures import ThreadPoolExecutor
 
 import fgs_run
 
-# What each variant changes of the defaults.
+def changed(*settings):
+    """Options that change settings."""
+    return [word for setting in settings for word in ("--set", setting)]
+
+
+# The options of each variant.
 VARIANTS = {
     "defaults": [],
-    "mask: opacity, depth": ["seeding.depth_mask=true"],
-    "mask: opacity, depth, colour": ["seeding.depth_mask=true", "seeding.color_mask=true"],
-    "covisible keyframes: 0.7": ["mapping.covisible_probability=0.7"],
-    "depth: not normalised": ["mapping.loss.normalize_depth=false"],
-    "colour: only where depth is": ["mapping.loss.mask_color_by_depth=true"],
-    "holes: left empty": ["seeding.fill_holes=false"],
-    "tracking: depth alone": ["tracking.color=false"],
-    "slower shapes and opacities": ["mapping.learning_rates.log_scales=1e-2", "mapping.learning_rates.opacity_logits=0.04"],
+    "mask: opacity, depth": changed("seeding.depth_mask=true"),
+    "mask: opacity, depth, colour": changed("seeding.depth_mask=true", "seeding.color_mask=true"),
+    "covisible keyframes: 0.7": changed("mapping.covisible_probability=0.7"),
+    "depth: not normalised": changed("mapping.loss.normalize_depth=false"),
+    "colour: only where depth is": changed("mapping.loss.mask_color_by_depth=true"),
+    "holes: left empty": changed("seeding.fill_holes=false"),
+    "tracking: depth alone": changed("tracking.color=false"),
+    "slower shapes and opacities": changed("mapping.learning_rates.log_scales=1e-2", "mapping.learning_rates.opacity_logits=0.04"),
+    "refined by 2000 steps": ["--refine", "2000"],
 }
-COLUMNS = ["psnr_valid_depth_db", "psnr_db", "psnr_heldout_db", "ssim", "depth_l1_m", "ate_rmse_m", "frames_lost", "num_gaussians", "fps"]
+COLUMNS = ["psnr_valid_depth_db", "psnr_db", "psnr_exposure_valid_depth_db", "psnr_heldout_db", "ssim", "depth_l1_m", "ate_rmse_m",
+           "frames_lost", "num_gaussians", "fps"]
 
 
 def run(recording, options, variant, threads):
-    """The metrics of one run, as one row of raw.csv."""
-    changes = [word for change in VARIANTS[variant] for word in ("--set", change)]
-    metrics = fgs_run.metrics(recording, [*options, *changes, "--threads", str(threads)])
+    """The metrics of one run, as one row of raw.csv; of its refined map, if it has one."""
+    metrics = fgs_run.metrics(recording, [*options, *VARIANTS[variant], "--threads", str(threads)])
+    metrics |= metrics.get("refined") or {}
     name = pathlib.Path(recording).name
     return {"recording": name, "variant": variant, "commit": metrics["commit"]} | {key: metrics[key] for key in COLUMNS}
 
@@ -43,16 +50,16 @@ def table(rows):
     """Markdown: one line for each variant, in each cell one figure for each recording."""
     recordings = list(dict.fromkeys(row["recording"] for row in rows))
     found = {(row["recording"], row["variant"]): row for row in rows}
-    head = [f"| variant (figures: {', '.join(recordings)}) | PSNR valid, dB | mean | PSNR all, dB | ATE, cm | lost | gaussians, thousands |", "|---" * 7 + "|"]
+    head = [f"| variant (figures: {', '.join(recordings)}) | PSNR valid, dB | mean | with exposure, dB | PSNR all, dB | SSIM | ATE, cm | lost | gaussians, thousands |", "|---" * 9 + "|"]
     lines = []
     for variant in VARIANTS:
         cells = [found[recording, variant] for recording in recordings if (recording, variant) in found]
         if len(cells) < len(recordings):
             continue
-        figures = lambda key, form, scale=1.0: " / ".join(form.format(scale * float(cell[key] or "nan")) for cell in cells)
+        figures = lambda key, form, scale=1.0: " / ".join(form.format(scale * float(cell.get(key) or "nan")) for cell in cells)
         mean = sum(float(cell["psnr_valid_depth_db"]) for cell in cells) / len(cells)
-        columns = [variant, figures("psnr_valid_depth_db", "{:.2f}"), f"{mean:.2f}", figures("psnr_db", "{:.2f}"),
-                   figures("ate_rmse_m", "{:.4f}", 100), figures("frames_lost", "{:.0f}"), figures("num_gaussians", "{:.0f}", 1e-3)]
+        columns = [variant, figures("psnr_valid_depth_db", "{:.2f}"), f"{mean:.2f}", figures("psnr_exposure_valid_depth_db", "{:.2f}"),
+                   figures("psnr_db", "{:.2f}"), figures("ssim", "{:.3f}"), figures("ate_rmse_m", "{:.4f}", 100), figures("frames_lost", "{:.0f}"), figures("num_gaussians", "{:.0f}", 1e-3)]
         lines.append("| " + " | ".join(columns) + " |")
     return "\n".join(head + lines)
 
@@ -69,13 +76,14 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("out", type=pathlib.Path)
     parser.add_argument("recordings", nargs="*")
+    parser.add_argument("--only", nargs="+", choices=VARIANTS, default=list(VARIANTS), help="these variants")
     parser.add_argument("--jobs", type=int, default=1, help="runs at a time")
     options = parser.parse_args()
     options.out.mkdir(parents=True, exist_ok=True)
     raw = options.out / "raw.csv"
     rows = list(csv.DictReader(raw.open())) if raw.exists() else []
     done = {(row["recording"], row["variant"]) for row in rows}
-    todo = [(words[0], words[1:], variant) for words in map(shlex.split, options.recordings) for variant in VARIANTS
+    todo = [(words[0], words[1:], variant) for words in map(shlex.split, options.recordings) for variant in options.only
             if (pathlib.Path(words[0]).name, variant) not in done]
     with raw.open("a") as file, ThreadPoolExecutor(options.jobs) as pool:
         writer = csv.DictWriter(file, ["recording", "variant", "commit", *COLUMNS])

@@ -4,6 +4,7 @@
 //! another pose; the photometric residuals and the image gradients tell how the pose must change.
 //! Can be used on its own, with any source of depth.
 
+mod agreement;
 mod color_readout;
 mod depth_delay;
 mod depth_readout;
@@ -19,6 +20,7 @@ mod residual;
 mod test_scene;
 mod time_estimate;
 
+pub use agreement::{Agreement, agreement};
 pub use color_readout::{ColorPair, color_readout};
 pub use depth_delay::{SensorMotion, depth_delay};
 pub use depth_readout::{DepthPair, Patch, PatchGrid, depth_readout};

@@ -97,6 +97,7 @@ fn pass_on(events: &Subscription, observer: &mut dyn RunObserver) {
 
 fn row_of(frame: &FrameResult) -> FrameRow {
     let tracking = frame.tracking.as_ref();
+    let agreement = tracking.and_then(|tracking| tracking.agreement.as_ref());
     FrameRow {
         timestamp_secs: frame.timestamp_secs,
         keyframe: frame.keyframe.map(|(_, kind)| kind),
@@ -105,6 +106,8 @@ fn row_of(frame: &FrameResult) -> FrameRow {
         inliers: tracking.map(|tracking| tracking.inliers),
         residual_m: tracking.map(|tracking| tracking.residual_m),
         conditioning: tracking.map(|tracking| tracking.conditioning),
+        correlation: agreement.map(|agreement| agreement.correlation),
+        seen_through: agreement.map(|agreement| agreement.seen_through),
         tracking_ms: tracking.map(|tracking| 1e3 * tracking.duration.as_secs_f64()),
         ..FrameRow::new(frame.index.0, frame.status)
     }

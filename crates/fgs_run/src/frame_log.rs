@@ -31,6 +31,10 @@ pub struct FrameRow {
     pub residual_m: Option<f64>,
     /// How well the weakest direction of motion is constrained relative to the strongest, 0 to 1.
     pub conditioning: Option<f64>,
+    /// Correlation of its brightness with a keyframe's, -1 to 1.
+    pub correlation: Option<f64>,
+    /// Share of a keyframe's points that it sees through: it measures more depth there.
+    pub seen_through: Option<f64>,
     /// Wall-clock time of tracking, milliseconds.
     pub tracking_ms: Option<f64>,
     /// How well the map shows it: the last columns.
@@ -39,7 +43,7 @@ pub struct FrameRow {
 }
 
 /// The columns before the scores, named as the fields of [`FrameRow`] and in their order.
-const COLUMNS: [&str; 10] = [
+const COLUMNS: [&str; 12] = [
     "index",
     "timestamp_secs",
     "status",
@@ -49,6 +53,8 @@ const COLUMNS: [&str; 10] = [
     "inliers",
     "residual_m",
     "conditioning",
+    "correlation",
+    "seen_through",
     "tracking_ms",
 ];
 
@@ -65,6 +71,8 @@ impl FrameRow {
             inliers: None,
             residual_m: None,
             conditioning: None,
+            correlation: None,
+            seen_through: None,
             tracking_ms: None,
             scores: Scores::default(),
         }
@@ -131,6 +139,8 @@ mod tests {
         tracked.inliers = Some(3);
         tracked.residual_m = Some(0.25);
         tracked.conditioning = Some(0.5);
+        tracked.correlation = Some(0.9);
+        tracked.seen_through = Some(0.125);
         tracked.tracking_ms = Some(7.0);
         tracked.scores = Scores::of_frame(&FrameErrors {
             image: ImageQuality {
@@ -163,7 +173,7 @@ mod tests {
         assert_eq!(
             String::from_utf8(text).unwrap(),
             "index,timestamp_secs,status,keyframe,points,sparse_points,inliers,residual_m,\
-             conditioning,tracking_ms,psnr_valid_depth_db,psnr_db,psnr_paper_db,\
+             conditioning,correlation,seen_through,tracking_ms,psnr_valid_depth_db,psnr_db,psnr_paper_db,\
              psnr_exposure_valid_depth_db,psnr_exposure_db,ssim,depth_l1_m\n"
         );
     }

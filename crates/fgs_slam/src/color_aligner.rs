@@ -4,10 +4,10 @@
 use std::collections::VecDeque;
 
 use fgs_direct::{
-    IntensityPyramid, PhotometricAlignment, PosePrior, PosedReference, Reference,
-    align_with_keyframes,
+    Agreement, IntensityPyramid, PhotometricAlignment, PosePrior, PosedReference, Reference,
+    agreement, align_with_keyframes,
 };
-use fgs_geom::{KeyframeId, RgbdFrame, Se3};
+use fgs_geom::{Image, KeyframeId, RgbdFrame, Se3};
 
 use crate::keyframes::Keyframe;
 
@@ -16,6 +16,10 @@ const LEVELS: usize = 4;
 
 /// So many keyframes are kept to align with.
 const MAX_KEYFRAMES: usize = 64;
+
+/// The level at which frames are compared with keyframes, a quarter of the full resolution: blur and
+/// a pixel's misalignment are no disagreement.
+const AGREEMENT_LEVEL: usize = 1;
 
 /// An older keyframe is aligned with if at least this share of its points is in view.
 const MIN_OVERLAP: f64 = 0.6;
@@ -58,6 +62,29 @@ impl ColorAligner {
             })
             .collect();
         align_with_keyframes(pyramid, &references, prior)
+    }
+
+    /// How well a frame at a pose agrees with the keyframe that it shows most of, among those that it
+    /// is aligned with; `None` without keyframes.
+    pub fn agreement(
+        &self,
+        pyramid: &IntensityPyramid,
+        depth_m: &Image<f32>,
+        world_from_camera: &Se3,
+    ) -> Option<Agreement> {
+        let level = AGREEMENT_LEVEL.min(pyramid.levels.len() - 1);
+        let with = |keyframe: &ReferenceKeyframe| {
+            agreement(
+                &pyramid.levels[level],
+                depth_m,
+                keyframe.reference.levels.get(level)?,
+                &(world_from_camera.inverse() * keyframe.world_from_camera),
+            )
+            .into()
+        };
+        self.choose(pyramid, world_from_camera)
+            .filter_map(with)
+            .max_by(|a: &Agreement, b| a.share.total_cmp(&b.share))
     }
 
     /// The newest keyframe, and the oldest of which enough is in view: the one is most alike, the

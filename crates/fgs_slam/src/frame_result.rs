@@ -3,6 +3,7 @@
 use std::fmt;
 use std::time::Duration;
 
+use fgs_direct::Agreement;
 use fgs_geom::{FrameIndex, KeyframeId, Se3};
 use serde::{Deserialize, Serialize};
 
@@ -66,6 +67,9 @@ pub struct TrackingQuality {
     pub residual_m: f64,
     /// How well the weakest direction is constrained relative to the strongest, 0 to 1.
     pub conditioning: f64,
+    /// How the frame agrees with a keyframe in brightness and depth; `None` before the second frame and
+    /// without colour in tracking.
+    pub agreement: Option<Agreement>,
     /// Wall time of tracking.
     pub duration: Duration,
 }

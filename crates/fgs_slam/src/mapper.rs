@@ -164,10 +164,17 @@ impl Mapper {
         }
     }
 
-    /// The keyframes that can be optimised, to be drawn by [`refine`](Self::refine).
-    pub(crate) fn rounds(&self) -> Rounds {
-        let views = self.views.iter().map(|(id, _)| *id);
-        Rounds::new(self.config.seed, views.collect())
+    /// Prepares for [`refine`](Self::refine): keyframes are brought to the map's exposure. Returns
+    /// them, to be drawn.
+    ///
+    /// # Errors
+    /// If the model fails.
+    pub(crate) fn begin_refinement(&mut self) -> Result<Rounds, MapperError> {
+        let views: Vec<KeyframeId> = self.views.iter().map(|(id, _)| *id).collect();
+        for id in &views {
+            self.model.match_exposure(*id)?;
+        }
+        Ok(Rounds::new(self.config.seed, views))
     }
 
     /// One optimisation step like any other, whose keyframe is the next of `rounds`.

@@ -139,6 +139,9 @@ impl Tracker {
             let frame = &shared(frame, frame.with_steady_color(&velocity));
             let pyramid = self.config.color.then(|| ColorAligner::pyramid(frame));
             let located = self.locate(frame, &registered, velocity, pyramid.as_ref());
+            quality.agreement = pyramid.as_ref().and_then(|pyramid| {
+                (self.color).agreement(pyramid, &frame.depth_m, &located.world_from_camera)
+            });
             world_from_camera = Some(located.world_from_camera);
             let color_from_depth = frame.depth_sensor.color_from_depth(&velocity);
             self.motion

@@ -76,6 +76,9 @@ impl GaussianModel for BadModel {
     fn see_through(&mut self, view: &View, min_alpha: f32) -> Result<Image<bool>, ModelError> {
         self.model.see_through(view, min_alpha)
     }
+    fn match_exposure(&mut self, id: KeyframeId) -> Result<(), ModelError> {
+        self.model.match_exposure(id)
+    }
     fn step(&mut self, id: KeyframeId) -> Result<(), ModelError> {
         std::thread::sleep(self.step_takes);
         let left = self.steps_left.checked_sub(1);

@@ -155,6 +155,13 @@ impl GaussianModel for CpuModel {
         Ok(pass.rendered().alpha.map(|alpha| *alpha < min_alpha))
     }
 
+    fn match_exposure(&mut self, id: KeyframeId) -> Result<(), ModelError> {
+        let training = self.views.get_mut(&id).ok_or(ModelError::NoSuchView(id))?;
+        let pass = self.rasterizer.render(&self.gaussians, &training.view);
+        training.target = training.target.exposed_like(pass.rendered());
+        Ok(())
+    }
+
     fn step(&mut self, id: KeyframeId) -> Result<(), ModelError> {
         let training = self.views.get_mut(&id).ok_or(ModelError::NoSuchView(id))?;
         let mut pass = self.rasterizer.render(&self.gaussians, &training.view);

@@ -7,6 +7,7 @@
 mod adam;
 mod cpu;
 mod cpu_model;
+mod exposure;
 mod gaussians;
 #[cfg(feature = "gpu")]
 mod gpu;

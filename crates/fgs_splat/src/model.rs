@@ -168,6 +168,14 @@ pub trait GaussianModel: Send {
     /// If the device fails.
     fn see_through(&mut self, view: &View, min_alpha: f32) -> Result<Image<bool>, ModelError>;
 
+    /// Brings the colours measured at a keyframe's view to the map's exposure: from now on they are
+    /// compared after a gain and an offset for each channel, those that bring them nearest to what the
+    /// map shows there now, tied to 1 and 0.
+    ///
+    /// # Errors
+    /// If there is no such view, or the device fails.
+    fn match_exposure(&mut self, id: KeyframeId) -> Result<(), ModelError>;
+
     /// One optimisation step on a keyframe's view: render, loss, backward, Adam.
     ///
     /// # Errors

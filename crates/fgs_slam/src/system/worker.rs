@@ -247,7 +247,12 @@ impl MapperWorker {
     /// Optimises the map with all keyframes alike, until so many steps are taken, `stop` is set or the
     /// mapper cannot go on.
     fn refine(&mut self, steps: usize, stop: &AtomicBool) {
-        let mut rounds = self.mapper.rounds();
+        let mut rounds = None;
+        self.turn(|worker| {
+            rounds = Some(worker.mapper.begin_refinement()?);
+            Ok(())
+        });
+        let Some(mut rounds) = rounds else { return };
         for done in 1..=steps {
             if stop.load(Ordering::Relaxed)
                 || !self.turn(|worker| worker.mapper.refine(&mut rounds))

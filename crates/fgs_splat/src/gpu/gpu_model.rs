@@ -193,6 +193,14 @@ impl GaussianModel for GpuModel {
         Ok(images::see_through(&mut self.work.map, view, min_alpha)?)
     }
 
+    fn match_exposure(&mut self, id: KeyframeId) -> Result<(), ModelError> {
+        let view = self.work.views.get(id)?.view;
+        let rendered = self.render(&view)?;
+        let exposed = self.work.views.get(id)?.target.exposed_like(&rendered);
+        let buffers = &mut self.work.map.buffers;
+        self.work.views.replace_target(buffers, id, exposed)
+    }
+
     fn step(&mut self, id: KeyframeId) -> Result<(), ModelError> {
         let view = self.work.views.get(id)?.view;
         self.work.push(Work::Step(id, view))

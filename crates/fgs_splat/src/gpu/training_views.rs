@@ -74,6 +74,22 @@ impl TrainingViews {
         Ok(())
     }
 
+    /// Replaces the images measured at a view by others of the same size.
+    ///
+    /// # Errors
+    /// If there is no such view.
+    pub fn replace_target(
+        &mut self,
+        buffers: &mut Buffers,
+        id: KeyframeId,
+        target: Target,
+    ) -> Result<(), ModelError> {
+        let training = self.views.get_mut(&id).ok_or(ModelError::NoSuchView(id))?;
+        training.target = target;
+        self.targets.remove(buffers, training.set);
+        Ok(())
+    }
+
     /// Whether the keyframe has a view.
     pub fn contains(&self, id: KeyframeId) -> bool {
         self.views.contains_key(&id)

@@ -24,6 +24,7 @@ pub use regularizer::scale_regularizer;
 pub(crate) use regularizer::{FLAT_SCALE_M, MAX_LOG_SCALE};
 pub(crate) use ssim::{C1, C2};
 
+use crate::exposure::Exposure;
 use crate::{Cotangents, Rendered, SettingError};
 use fgs_geom::{Image, RgbdFrame, has_depth};
 use rayon::prelude::*;
@@ -135,6 +136,22 @@ impl Target {
         match &frame.color_valid {
             Some(valid) => target.with_color_valid(valid.clone()),
             None => Ok(target),
+        }
+    }
+
+    /// The same target in the exposure of a map, given what the map shows at its view.
+    pub(crate) fn exposed_like(&self, rendered: &Rendered) -> Self {
+        let mut color = Exposure::between(self, rendered).applied(&self.color);
+        if let Some(valid) = self.color_valid() {
+            for (color, valid) in color.data_mut().iter_mut().zip(valid.data()) {
+                if !valid {
+                    *color = [0; 3];
+                }
+            }
+        }
+        Self {
+            color,
+            ..self.clone()
         }
     }
 

@@ -323,3 +323,54 @@ fn inferred_gaussians_yield_to_what_is_measured() {
         );
     });
 }
+
+#[test]
+fn a_keyframe_of_another_exposure_is_brought_to_the_maps() {
+    let World { view, .. } = world();
+    // A wall of many colours before the camera.
+    let mut wall = Gaussians::default();
+    for v in 0..48_u32 {
+        for u in 0..64_u32 {
+            let in_camera = (view.camera).unproject(f64::from(u), f64::from(v), 2.0);
+            let tone = 0.25 + 0.4 * ((u / 8 + 3 * (v / 8)) % 5) as f32 / 5.0;
+            let mean = view.world_from_camera.transform(&in_camera);
+            wall.push(&Gaussian {
+                mean: mean.cast::<f32>().into(),
+                quat: [1.0, 0.0, 0.0, 0.0],
+                scales: [0.03; 3],
+                opacity: 0.95,
+                rgb: [tone, 0.8 * tone, 1.0 - tone],
+            });
+        }
+    }
+    let seeds = Seeds {
+        sparse_ids: vec![None; wall.len()],
+        gaussians: wall,
+    };
+    on_each_backend(|new| {
+        let mut model = new(&ModelSettings::default());
+        model.insert(&seeds, SECOND).unwrap();
+        let shown = model.render(&view).unwrap();
+        let other = shown
+            .color
+            .map(|pixel| pixel.map(|value| (255.0 * (0.7 * value + 0.05)) as u8));
+        let depth_m = Image::from_fn(60, 44, |u, v| shown.surface_depth_m(u, v));
+        model
+            .add_view(FIRST, view, Target::new(other, depth_m).unwrap())
+            .unwrap();
+        let losses = [false, true].map(|matched| {
+            if matched {
+                model.match_exposure(FIRST).unwrap();
+            }
+            model.step(FIRST).unwrap();
+            // A device tells of a step when it is asked for something that waits for it.
+            model.gaussians().unwrap();
+            model.take_stats().last().unwrap().loss
+        });
+        assert!(losses[1] <= 0.3 * losses[0], "{losses:?}");
+        assert_eq!(
+            model.match_exposure(SECOND),
+            Err(ModelError::NoSuchView(SECOND))
+        );
+    });
+}
