@@ -86,3 +86,73 @@ impl Similar {
         Se3::new(rotation.unwrap_or_default(), Vector3::zeros())
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use fgs_geom::{FrameIndex, Image, RgbdFrame};
+
+    use super::*;
+
+    const CAMERA: Camera = Camera {
+        width: 40,
+        height: 30,
+        intrinsics: fgs_geom::Intrinsics {
+            fx: 30.0,
+            fy: 35.0,
+            cx: 19.5,
+            cy: 14.5,
+        },
+    };
+
+    /// Patches of colour and depth that depend on `place`.
+    fn descriptor(place: usize) -> PlaceDescriptor {
+        let hash = |u, v| (u / 4 * 37 + v / 4 * 101 + place * 59) * 2_654_435_761_usize;
+        let color = Image::from_fn(40, 30, |u, v| {
+            [8, 13, 21].map(|bits| (hash(u, v) >> bits) as u8)
+        });
+        let depth_m = Image::from_fn(40, 30, |u, v| (hash(u, v) >> 10 & 3) as f32);
+        let frame = RgbdFrame::new(FrameIndex(0), 0.0, color, depth_m, CAMERA);
+        PlaceDescriptor::new(&frame.unwrap())
+    }
+
+    fn ids(found: &[Similar]) -> Vec<u32> {
+        found.iter().map(|similar| similar.id.0).collect()
+    }
+
+    #[test]
+    fn keyframes_are_added_changed_and_removed() {
+        let [a, b] = [1, 2].map(descriptor);
+        let mut index = PlaceIndex::default();
+        assert_eq!(index.most_similar(&a, 3), []);
+        for (id, descriptor) in [(7, &b), (3, &a), (5, &a)] {
+            index.add(KeyframeId(id), descriptor);
+        }
+        let found = index.most_similar(&a, 9);
+        assert_eq!(ids(&found), [3, 5, 7]);
+        assert!(found[0].similarity > 0.9 && found[0].shift == [0.0; 2]);
+        assert!(found[2].similarity < 0.4, "{:?}", found[2]);
+        assert_eq!(ids(&index.most_similar(&b, 1)), [7]);
+
+        index.add(KeyframeId(3), &b);
+        assert_eq!(ids(&index.most_similar(&a, 1)), [5]);
+        index.remove(KeyframeId(5));
+        index.remove(KeyframeId(6));
+        assert_eq!(ids(&index.most_similar(&b, 9)), [3, 7]);
+    }
+
+    /// What a keyframe shows in the middle, the turned camera sees at the shift.
+    #[test]
+    fn the_shift_gives_the_rotation() {
+        for shift in [[0.2, -0.1], [0.0, 0.2], [0.0, 0.0]] {
+            let similar = Similar {
+                id: KeyframeId(0),
+                similarity: 0.5,
+                shift,
+            };
+            let frame_from_keyframe = similar.keyframe_from_frame(&CAMERA).inverse();
+            let ray = frame_from_keyframe.transform(&Vector3::new(0.0, 0.0, 2.0));
+            assert!((ray.x / ray.z * 30.0 - shift[0] * 40.0).abs() < 1e-9);
+            assert!((ray.y / ray.z * 35.0 - shift[1] * 30.0).abs() < 1e-9);
+        }
+    }
+}
