@@ -40,7 +40,7 @@ impl PlaceIndex {
     }
 
     /// The keyframes most similar to a frame, `count` at most, the best first; of equals, the older
-    /// first. Takes about 1 ms for 1000 keyframes.
+    /// first. Takes about 1.4 ms for 1000 keyframes.
     pub fn most_similar(&self, frame: &PlaceDescriptor, count: usize) -> Vec<Similar> {
         let compared = self
             .codes
