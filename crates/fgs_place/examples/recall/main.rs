@@ -9,8 +9,8 @@
 //! similar pose (within 0.3 m and 25 degrees), and one that shows at least half of the same
 //! surfaces, as the most similar and among the five most similar, where there is one; the share of
 //! frames whose best such keyframe is more similar than every keyframe is to all but 1 % of the
-//! frames that show less than a tenth of it; and how far the most similar keyframe is turned,
-//! before and after the shift is taken into account.
+//! frames that show less than a tenth of it; and how far the most similar keyframe with enough
+//! overlap is turned, before and after the shift is taken into account.
 
 mod change;
 mod recording;
@@ -154,6 +154,9 @@ fn report(dirs: &[String], change: Change, relations: &[Vec<Vec<Relation>>]) {
                 first += f64::from(rank == 0);
                 in_five += f64::from(rank < 5);
                 sure += f64::from(counted[rank].similar.similarity > threshold);
+            }
+            if can == 0.0 {
+                return "none".into();
             }
             format!(
                 "{:.2} {:.2}, sure {:.2} (of {can})",
