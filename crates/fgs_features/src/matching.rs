@@ -2,7 +2,7 @@
 
 use fgs_geom::{Kernel, dispatch};
 
-use crate::{Feature, Features};
+use crate::{Descriptor, Feature, Features};
 
 /// Descriptors that differ in more bits are not of one point.
 const MAX_DISTANCE: u32 = 80;
@@ -30,19 +30,19 @@ pub fn match_features(a: &Features, b: &Features) -> Vec<Match> {
     if b.all.is_empty() {
         return Vec::new();
     }
-    let mut distances = vec![0; b.all.len()];
-    // For each feature of b the nearest of a, and its distance.
-    let mut nearest_to_b = vec![(u32::MAX, 0); b.all.len()];
+    let descriptors: Vec<Descriptor> = b.all.iter().map(|feature| feature.descriptor).collect();
+    let mut distances = vec![0; descriptors.len()];
+    // For each feature of b the distance of the nearest of a, and below it that one's index.
+    let mut nearest_to_b = vec![u64::MAX; descriptors.len()];
     let mut matches = Vec::new();
     for (i, feature) in a.all.iter().enumerate() {
         dispatch(Distances {
-            feature,
-            others: &b.all,
+            index: i as u64,
+            descriptor: &feature.descriptor,
+            others: &descriptors,
             distances: &mut distances,
+            nearest: &mut nearest_to_b,
         });
-        for (nearest, distance) in nearest_to_b.iter_mut().zip(&distances) {
-            *nearest = (*nearest).min((*distance, i));
-        }
         let Some((j, distance)) = nearest(&distances) else {
             continue;
         };
@@ -54,9 +54,12 @@ pub fn match_features(a: &Features, b: &Features) -> Vec<Match> {
             });
         }
     }
-    matches.retain(|m| nearest_to_b[m.b].1 == m.a);
+    matches.retain(|m| nearest_to_b[m.b] & INDEX == m.a as u64);
     matches
 }
+
+/// The bits of an index beside a distance: 9 are left for the distance.
+const INDEX: u64 = u64::MAX >> 9;
 
 /// The first of the least distances.
 fn nearest(distances: &[u32]) -> Option<(usize, u32)> {
@@ -76,11 +79,13 @@ fn is_clear(distances: &[u32], features: &[Feature], j: usize) -> bool {
     others.all(|(distance, other)| *distance > limit || !is_elsewhere(other))
 }
 
-/// The distances of one feature's descriptor from many.
+/// The distances of one descriptor from many, and for each of these the nearest one so far.
 struct Distances<'a> {
-    feature: &'a Feature,
-    others: &'a [Feature],
+    index: u64,
+    descriptor: &'a Descriptor,
+    others: &'a [Descriptor],
     distances: &'a mut [u32],
+    nearest: &'a mut [u64],
 }
 
 impl Kernel for Distances<'_> {
@@ -89,7 +94,10 @@ impl Kernel for Distances<'_> {
     #[inline(always)]
     fn run<const FUSED: bool, const WIDTH: usize>(self) {
         for (distance, other) in self.distances.iter_mut().zip(self.others) {
-            *distance = self.feature.descriptor.distance(&other.descriptor);
+            *distance = self.descriptor.distance(other);
+        }
+        for (nearest, distance) in self.nearest.iter_mut().zip(self.distances) {
+            *nearest = (*nearest).min((u64::from(*distance) << 55) | self.index);
         }
     }
 }
@@ -100,7 +108,6 @@ mod tests {
     use nalgebra::Vector2;
 
     use super::*;
-    use crate::Descriptor;
 
     /// Features in a row, 20 pixels apart, with descriptors of so many bits from the first.
     fn features(bits: &[u32]) -> Features {

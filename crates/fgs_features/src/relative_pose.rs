@@ -14,11 +14,12 @@ use crate::rigid_alignment::rigid_alignment;
 use crate::{Features, Match};
 
 /// Fewer matches that agree prove nothing. Of 2600 pairs of real frames that show different places
-/// none had more than 4.
+/// none had more than 6.
 const MIN_INLIERS: usize = 10;
 
 /// A position less certain than this, metres of standard deviation, is no answer: the inliers lie
-/// too near each other. Of answers that are off by more than 10 cm or 5 degrees, most are so.
+/// too near each other. On real pairs it takes away three in five of the answers that are off by
+/// more than 10 cm or 5 degrees, and all beyond twice that, for one good answer in forty.
 const MAX_DEVIATION_M: f64 = 0.02;
 
 /// Triples drawn at most. Most have sides of different lengths in the two frames, which costs
