@@ -11,16 +11,16 @@ use nalgebra::{Matrix2x3, Matrix3, Matrix3x6, Matrix6, Vector3, Vector6};
 use crate::Feature;
 
 /// Standard deviation of a corner's place, pixels of the image that it was found in.
-const CORNER_NOISE_PX: f64 = 1.5;
+const CORNER_NOISE_PX: f64 = 2.0;
 
 /// Squared errors from here on, in squared standard deviations, are those of outliers.
 pub(crate) const MAX_SQUARED_ERROR: f64 = 9.0;
 
-/// Standard deviation of a corner's depth, metres. Twice that of a structured-light sensor (Nguyen
-/// et al. 2012) and a centimetre more: corners lie where depth changes, and the two sensors'
-/// registration is a pixel or two off.
+/// Standard deviation of a corner's depth, metres. Half as much again as that of a structured-light
+/// sensor (Nguyen et al. 2012), and millimetres more: corners lie where depth changes, and the two
+/// sensors' registration is a pixel or two off.
 pub(crate) fn depth_noise_m(depth_m: f64) -> f64 {
-    0.01 + 0.004 * depth_m * depth_m
+    0.005 + 0.003 * depth_m * depth_m
 }
 
 /// A motion between two cameras, in both directions.
