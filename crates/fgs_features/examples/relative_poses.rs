@@ -167,7 +167,7 @@ fn main() -> Result<()> {
                 };
                 let forward = |pose: &Se3| pose.rotation * Vector3::z();
                 if forward(pose_a).angle(&forward(pose_b)) > 1.3 {
-                    tally.add(a, b, None);
+                    tally.add(a, b, Some(pose_a.inverse() * *pose_b));
                 }
             }
         }
