@@ -1,6 +1,6 @@
 //! Whether an image and a keyframe show the same thing, given their relative pose: the keyframe's
-//! points should look alike in the image (correlation, so that exposure does not matter), and the
-//! image must not see through them.
+//! points should look alike in the image, up to its exposure, and the image must not see through
+//! them.
 
 use fgs_geom::{Image, Se3, has_depth};
 use nalgebra::Vector3;
@@ -11,6 +11,9 @@ use crate::{IntensityImage, ReferencePoint};
 /// point's by more than this share of it.
 const MAX_DEPTH_DIFFERENCE: f64 = 0.05;
 
+/// An image of less contrast is dark or blank; its noise is no difference.
+const MIN_CONTRAST: f64 = 0.02 * 0.02;
+
 /// How well an image agrees with a keyframe.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Agreement {
@@ -18,19 +21,35 @@ pub struct Agreement {
     pub points: usize,
     /// The share of all the keyframe's points that this is.
     pub share: f64,
-    /// Correlation of their brightness in the keyframe and in the image, -1 to 1; 0 if one of the two
-    /// has no contrast.
-    pub correlation: f64,
+    /// How alike they look: 1 less the part of the image's contrast by which they differ, after the gain
+    /// and offset that fit best (variances). About 1 at the right pose; at a wrong one 0 or less. Where
+    /// the keyframe shows hardly any contrast, nothing can differ, and it is about 1 too.
+    pub likeness: f64,
     /// The share of those with measured depth where the image sees something farther: nothing of the
     /// keyframe is there.
     pub seen_through: f64,
 }
 
-/// Compares an image with points of a keyframe. `depth_m` belongs to the image's camera, at any
+/// The variance of an image's brightness, its contrast.
+pub fn contrast(image: &IntensityImage) -> f64 {
+    let mut moments = Moments::default();
+    for value in image
+        .pixels()
+        .data()
+        .iter()
+        .filter(|value| value.is_finite())
+    {
+        moments.add(0.0, f64::from(*value));
+    }
+    moments.residual_variance()
+}
+
+/// Compares an image of a `contrast` with points of a keyframe. `depth_m` belongs to the image's camera, at any
 /// resolution of the same field of view.
 pub fn agreement(
     image: &IntensityImage,
     depth_m: &Image<f32>,
+    contrast: f64,
     points: &[ReferencePoint],
     camera_from_reference: &Se3,
 ) -> Agreement {
@@ -57,7 +76,7 @@ pub fn agreement(
     Agreement {
         points: moments.count,
         share: share_of(moments.count, points.len()),
-        correlation: moments.correlation(),
+        likeness: 1.0 - moments.residual_variance() / contrast.max(MIN_CONTRAST),
         seen_through: share_of(seen_through, measured),
     }
 }
@@ -98,14 +117,18 @@ impl Moments {
         self.bb += b * b;
     }
 
-    fn correlation(&self) -> f64 {
-        let n = self.count as f64;
-        let variances = (n * self.aa - self.a * self.a) * (n * self.bb - self.b * self.b);
-        // Below what rounding leaves of two constants.
-        if variances <= 1e-12 * (n * n).powi(2) {
-            return 0.0;
+    /// The variance of `b` that no positive gain and offset of `a` explain.
+    fn residual_variance(&self) -> f64 {
+        let n = self.count.max(1) as f64;
+        let (mean_a, mean_b) = (self.a / n, self.b / n);
+        let variance_a = self.aa / n - mean_a * mean_a;
+        let covariance = self.ab / n - mean_a * mean_b;
+        let variance_b = (self.bb / n - mean_b * mean_b).max(0.0);
+        if covariance > 0.0 && variance_a > 0.0 {
+            (variance_b - covariance * covariance / variance_a).max(0.0)
+        } else {
+            variance_b
         }
-        ((n * self.ab - self.a * self.b) / variances.sqrt()).clamp(-1.0, 1.0)
     }
 }
 
@@ -123,7 +146,14 @@ mod tests {
         let reference = Reference::new(&pyramid, &keyframe.depth_m, &keyframe.camera);
         let frame = scene.frame(true_pose, gain, 0.05);
         let image = &IntensityPyramid::of_frame(&frame, 2).levels[1];
-        agreement(image, &frame.depth_m, &reference.levels[1], &said.inverse())
+        let points = &reference.levels[1];
+        agreement(
+            image,
+            &frame.depth_m,
+            contrast(image),
+            points,
+            &said.inverse(),
+        )
     }
 
     fn moved(by: f64) -> Se3 {
@@ -134,7 +164,7 @@ mod tests {
     fn at_the_true_pose_images_agree_whatever_the_exposure() {
         let scene = Scene::new(3, true);
         let agreement = compared(&scene, &moved(0.3), &moved(0.3), 0.7);
-        assert!(agreement.correlation >= 0.9, "{agreement:?}");
+        assert!(agreement.likeness >= 0.9, "{agreement:?}");
         assert!(
             agreement.seen_through <= 0.02 && agreement.share >= 0.5,
             "{agreement:?}"
@@ -145,7 +175,7 @@ mod tests {
     fn at_a_wrong_pose_they_do_not() {
         let scene = Scene::new(3, true);
         let agreement = compared(&scene, &moved(0.3), &moved(1.0), 1.0);
-        assert!(agreement.correlation <= 0.5, "{agreement:?}");
+        assert!(agreement.likeness <= 0.3, "{agreement:?}");
         // Said to be half a metre farther back than it is.
         let back = Se3::new(
             nalgebra::UnitQuaternion::identity(),
@@ -159,12 +189,12 @@ mod tests {
     fn without_contrast_or_view_nothing_is_said() {
         let scene = Scene::new(3, true);
         let dark = compared(&scene, &Se3::identity(), &Se3::identity(), 0.0);
-        assert_eq!(dark.correlation, 0.0);
+        assert!(dark.likeness >= 0.9, "{dark:?}");
         let behind = Se3::new(
             nalgebra::UnitQuaternion::from_euler_angles(0.0, 3.1, 0.0),
             Vector3::zeros(),
         );
         let away = compared(&scene, &behind, &behind, 1.0);
-        assert_eq!(away, Agreement::default());
+        assert_eq!((away.points, away.share), (0, 0.0));
     }
 }

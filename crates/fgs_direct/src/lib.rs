@@ -20,7 +20,7 @@ mod residual;
 mod test_scene;
 mod time_estimate;
 
-pub use agreement::{Agreement, agreement};
+pub use agreement::{Agreement, agreement, contrast};
 pub use color_readout::{ColorPair, color_readout};
 pub use depth_delay::{SensorMotion, depth_delay};
 pub use depth_readout::{DepthPair, Patch, PatchGrid, depth_readout};

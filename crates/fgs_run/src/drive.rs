@@ -106,7 +106,7 @@ fn row_of(frame: &FrameResult) -> FrameRow {
         inliers: tracking.map(|tracking| tracking.inliers),
         residual_m: tracking.map(|tracking| tracking.residual_m),
         conditioning: tracking.map(|tracking| tracking.conditioning),
-        correlation: agreement.map(|agreement| agreement.correlation),
+        likeness: agreement.map(|agreement| agreement.likeness),
         seen_through: agreement.map(|agreement| agreement.seen_through),
         tracking_ms: tracking.map(|tracking| 1e3 * tracking.duration.as_secs_f64()),
         ..FrameRow::new(frame.index.0, frame.status)

@@ -31,8 +31,8 @@ pub struct FrameRow {
     pub residual_m: Option<f64>,
     /// How well the weakest direction of motion is constrained relative to the strongest, 0 to 1.
     pub conditioning: Option<f64>,
-    /// Correlation of its brightness with a keyframe's, -1 to 1.
-    pub correlation: Option<f64>,
+    /// How much it looks like a keyframe where both see the same, up to 1.
+    pub likeness: Option<f64>,
     /// Share of a keyframe's points that it sees through: it measures more depth there.
     pub seen_through: Option<f64>,
     /// Wall-clock time of tracking, milliseconds.
@@ -53,7 +53,7 @@ const COLUMNS: [&str; 12] = [
     "inliers",
     "residual_m",
     "conditioning",
-    "correlation",
+    "likeness",
     "seen_through",
     "tracking_ms",
 ];
@@ -71,7 +71,7 @@ impl FrameRow {
             inliers: None,
             residual_m: None,
             conditioning: None,
-            correlation: None,
+            likeness: None,
             seen_through: None,
             tracking_ms: None,
             scores: Scores::default(),
@@ -139,7 +139,7 @@ mod tests {
         tracked.inliers = Some(3);
         tracked.residual_m = Some(0.25);
         tracked.conditioning = Some(0.5);
-        tracked.correlation = Some(0.9);
+        tracked.likeness = Some(0.9);
         tracked.seen_through = Some(0.125);
         tracked.tracking_ms = Some(7.0);
         tracked.scores = Scores::of_frame(&FrameErrors {
@@ -173,7 +173,7 @@ mod tests {
         assert_eq!(
             String::from_utf8(text).unwrap(),
             "index,timestamp_secs,status,keyframe,points,sparse_points,inliers,residual_m,\
-             conditioning,correlation,seen_through,tracking_ms,psnr_valid_depth_db,psnr_db,psnr_paper_db,\
+             conditioning,likeness,seen_through,tracking_ms,psnr_valid_depth_db,psnr_db,psnr_paper_db,\
              psnr_exposure_valid_depth_db,psnr_exposure_db,ssim,depth_l1_m\n"
         );
     }

@@ -5,7 +5,7 @@ use std::collections::VecDeque;
 
 use fgs_direct::{
     Agreement, IntensityPyramid, PhotometricAlignment, PosePrior, PosedReference, Reference,
-    agreement, align_with_keyframes,
+    agreement, align_with_keyframes, contrast,
 };
 use fgs_geom::{Image, KeyframeId, RgbdFrame, Se3};
 
@@ -20,6 +20,12 @@ const MAX_KEYFRAMES: usize = 64;
 /// The level at which frames are compared with keyframes, a quarter of the full resolution: blur and
 /// a pixel's misalignment are no disagreement.
 const AGREEMENT_LEVEL: usize = 1;
+
+/// A keyframe shares enough with a frame to judge it if this share of its points is seen there.
+const MIN_SHARED: f64 = 0.2;
+
+/// With less of it in view, the newest keyframe is left behind.
+const LEFT_BEHIND: f64 = 0.4;
 
 /// An older keyframe is aligned with if at least this share of its points is in view.
 const MIN_OVERLAP: f64 = 0.6;
@@ -64,8 +70,9 @@ impl ColorAligner {
         align_with_keyframes(pyramid, &references, prior)
     }
 
-    /// How well a frame at a pose agrees with the keyframe that it shows most of, among those that it
-    /// is aligned with; `None` without keyframes.
+    /// How well a frame at a pose agrees with the newest keyframe or, if the two share too little, with
+    /// the keyframe that shares most with it. (Poses drift, so that older keyframes agree less.) `None`
+    /// without keyframes.
     pub fn agreement(
         &self,
         pyramid: &IntensityPyramid,
@@ -73,18 +80,30 @@ impl ColorAligner {
         world_from_camera: &Se3,
     ) -> Option<Agreement> {
         let level = AGREEMENT_LEVEL.min(pyramid.levels.len() - 1);
+        let contrast = contrast(pyramid.levels.last()?);
         let with = |keyframe: &ReferenceKeyframe| {
-            agreement(
+            Some(agreement(
                 &pyramid.levels[level],
                 depth_m,
+                contrast,
                 keyframe.reference.levels.get(level)?,
                 &(world_from_camera.inverse() * keyframe.world_from_camera),
-            )
-            .into()
+            ))
         };
-        self.choose(pyramid, world_from_camera)
+        let newest = with(self.keyframes.back()?)?;
+        if newest.share >= MIN_SHARED {
+            return Some(newest);
+        }
+        self.keyframes
+            .iter()
             .filter_map(with)
-            .max_by(|a: &Agreement, b| a.share.total_cmp(&b.share))
+            .max_by(|a, b| a.share.total_cmp(&b.share))
+    }
+
+    /// Whether a camera hardly sees what the newest keyframe shows.
+    pub fn has_left_newest(&self, pyramid: &IntensityPyramid, world_from_camera: &Se3) -> bool {
+        let newest = self.keyframes.back();
+        newest.is_some_and(|newest| newest.share_in_view(pyramid, world_from_camera) < LEFT_BEHIND)
     }
 
     /// The newest keyframe, and the oldest of which enough is in view: the one is most alike, the

@@ -8,6 +8,7 @@ use fgs_geom::{FrameIndex, KeyframeId, Se3};
 use serde::{Deserialize, Serialize};
 
 use crate::keyframes::KeyframeKind;
+use crate::verdict::Evidence;
 
 /// The verdict on a frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -16,6 +17,8 @@ use crate::keyframes::KeyframeKind;
 pub enum FrameStatus {
     /// It has a pose that can be trusted.
     Tracked,
+    /// It has a pose that is probably right; nothing is built on it.
+    Weak,
     /// It was read but has no pose that can be trusted.
     Lost,
     /// It could not be read, or is no frame of this camera.
@@ -28,6 +31,7 @@ impl fmt::Display for FrameStatus {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(match self {
             Self::Tracked => "tracked",
+            Self::Weak => "weak",
             Self::Lost => "lost",
             Self::Damaged => "damaged",
             Self::Dropped => "dropped",
@@ -45,7 +49,7 @@ pub struct FrameResult {
     pub timestamp_secs: Option<f64>,
     /// The verdict.
     pub status: FrameStatus,
-    /// Its pose if it was tracked.
+    /// Its pose if it was tracked, or is weak.
     pub world_from_camera: Option<Se3>,
     /// The keyframe that it became, if any.
     pub keyframe: Option<(KeyframeId, KeyframeKind)>,
@@ -72,6 +76,16 @@ pub struct TrackingQuality {
     pub agreement: Option<Agreement>,
     /// Wall time of tracking.
     pub duration: Duration,
+}
+
+impl TrackingQuality {
+    /// Takes over what speaks for a pose.
+    pub(crate) fn of(&mut self, evidence: &Evidence) {
+        self.inliers = evidence.inliers;
+        self.residual_m = evidence.residual_m;
+        self.conditioning = evidence.conditioning;
+        self.agreement = evidence.agreement;
+    }
 }
 
 impl FrameResult {

@@ -110,9 +110,15 @@ impl KeyframePolicy {
     }
 
     /// What the next tracked frame becomes, given the share of its points that overlap the sparse
-    /// map. The first frame is always a tracking keyframe. One that is not `allowed` is put off to
+    /// map, and whether the camera hardly sees any more what the newest keyframe shows. The first frame
+    /// is always a tracking keyframe. One that is not `allowed` is put off to
     /// the next frame.
-    pub fn decide(&mut self, overlap_share: f64, allowed: bool) -> Option<KeyframeKind> {
+    pub fn decide(
+        &mut self,
+        overlap_share: f64,
+        has_left_newest: bool,
+        allowed: bool,
+    ) -> Option<KeyframeKind> {
         let kind = match &mut self.frames_since_keyframe {
             None => Some(KeyframeKind::Tracking),
             Some(frames) => {
@@ -120,7 +126,8 @@ impl KeyframePolicy {
                 if overlap_share < self.min_overlap_share {
                     Some(KeyframeKind::Tracking)
                 } else {
-                    (*frames >= self.mapping_every).then_some(KeyframeKind::Mapping)
+                    (has_left_newest || *frames >= self.mapping_every)
+                        .then_some(KeyframeKind::Mapping)
                 }
             }
         };
@@ -138,10 +145,17 @@ mod tests {
 
     /// The keyframes among forty frames of which frames 13 and 14 overlap too little.
     fn keyframes(allowed: fn(usize) -> bool) -> Vec<(usize, KeyframeKind)> {
+        keyframes_of(|_| false, allowed)
+    }
+
+    fn keyframes_of(
+        has_left: fn(usize) -> bool,
+        allowed: fn(usize) -> bool,
+    ) -> Vec<(usize, KeyframeKind)> {
         let mut policy = KeyframePolicy::new(&KeyframeConfig::default());
         let overlap = |i: usize| if i == 13 || i == 14 { 0.79 } else { 0.8 };
         (0..40)
-            .filter_map(|i| Some((i, policy.decide(overlap(i), allowed(i))?)))
+            .filter_map(|i| Some((i, policy.decide(overlap(i), has_left(i), allowed(i))?)))
             .collect()
     }
 
@@ -158,6 +172,13 @@ mod tests {
                 (34, Mapping)
             ]
         );
+    }
+
+    #[test]
+    fn a_mapping_keyframe_when_the_newest_is_left_behind() {
+        let keyframes = keyframes_of(|i| i == 4 || i == 13, |_| true);
+        assert_eq!(keyframes[1], (4, Mapping));
+        assert_eq!(keyframes[2], (13, Tracking));
     }
 
     #[test]

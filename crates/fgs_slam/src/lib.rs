@@ -20,12 +20,15 @@ mod missing;
 mod motion;
 mod prepare;
 mod refinement;
+mod registrar;
+mod relocalizer;
 mod seeding;
 mod session;
 mod sparse_map;
 mod surface;
 mod system;
 mod tracker;
+mod verdict;
 mod view_choice;
 mod weak_directions;
 

@@ -19,6 +19,7 @@ use crate::mapper::MapperError;
 use crate::refinement::RefinedMap;
 use crate::system::{self, Execution, MapStatus, MapperGone, Mapping, Moves};
 use crate::tracker::Tracker;
+use crate::verdict::Verdict;
 
 /// Follows a camera and maps what it sees.
 ///
@@ -212,9 +213,10 @@ impl Slam {
         let result = FrameResult {
             index: frame.index,
             timestamp_secs: Some(frame.timestamp_secs),
-            status: match tracked.world_from_camera {
-                Some(_) => FrameStatus::Tracked,
-                None => FrameStatus::Lost,
+            status: match tracked.verdict {
+                Verdict::Tracked => FrameStatus::Tracked,
+                Verdict::Weak => FrameStatus::Weak,
+                Verdict::Lost => FrameStatus::Lost,
             },
             world_from_camera: tracked.world_from_camera,
             keyframe,

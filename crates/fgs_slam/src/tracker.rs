@@ -1,92 +1,65 @@
-//! The tracker: registers each frame with the sparse map (paper, Sec. III-B), says whether it can
-//! be trusted, and grows the sparse map at tracking keyframes. A plain struct without threads.
+//! The tracker: finds each frame's pose (paper, Sec. III-B), says whether it can be trusted, and grows
+//! the sparse map at tracking keyframes. A plain struct without threads.
+//!
+//! A frame is registered from where the motion model expects it. If what is found there is doubtful,
+//! other starts are tried (relocalizer.rs), and the best pose is judged (verdict.rs). A camera that was
+//! lost is believed to be found when a second frame agrees.
 //!
 //! Differs from the paper: it starts from a constant-velocity prediction, its target grows
 //! incrementally, every frame gets a verdict instead of a silent failure, and what the rows of a
 //! rolling shutter saw is brought to one moment.
 
-use std::borrow::Cow;
 use std::sync::Arc;
 use std::time::Instant;
 
-use fgs_direct::{IntensityPyramid, PosePrior};
+use fgs_features::Features;
 use fgs_geom::{Camera, KeyframeId, RgbdFrame, Se3};
-use fgs_gicp::{Alignment, DepthGrid, Point, Settings, SurfacePoint, align};
+use fgs_gicp::{DepthGrid, Point, SurfacePoint};
 use fgs_splat::SparseId;
-use nalgebra::{Matrix6, Vector6};
 use rayon::prelude::*;
 
 use crate::color_aligner::ColorAligner;
-use crate::config::{KeyframeConfig, SlamConfig, SurfaceConfig, TrackingConfig};
+use crate::config::{KeyframeConfig, SlamConfig};
 use crate::frame_result::TrackingQuality;
 use crate::keyframes::{Admission, FrameWork, Keyframe, KeyframeKind, KeyframePolicy, NewPoint};
 use crate::map_alignment::FrameToAlign;
 use crate::motion::MotionModel;
+use crate::registrar::{Attempt, Known, Located, Measured, Registrar, Start, shared};
+use crate::relocalizer::{Guess, Relocalizer};
 use crate::sparse_map::SparseMap;
 use crate::surface::tracking_grid;
-use crate::weak_directions::{fused_pose, held_information};
+use crate::verdict::Verdict;
 
-/// Fewer points with a surface say nothing about the camera.
-const MIN_POINTS: usize = 50;
-
-/// A registration has converged when a step is smaller. Half of the published 2e-3 and 5e-4: the
-/// last step costs little, and what it misses adds up along the way.
-const ROTATION_EPSILON_RAD: f64 = 1e-3;
-const TRANSLATION_EPSILON_M: f64 = 2e-4;
-
-/// No depth camera measures a surface better than this at the distances of a room: a floor under
-/// the noise that a registration finds in its residuals.
-const SENSOR_NOISE_M: f64 = 1e-4;
-
-/// Standard deviations of what a hand does between two frames that the motion model does not predict.
-const PREDICTED_ROTATION_RAD: f64 = 0.02;
-const PREDICTED_TRANSLATION_M: f64 = 0.02;
-
-/// Registers frames with the sparse map.
+/// Finds the poses of frames.
 pub struct Tracker {
-    config: TrackingConfig,
-    surface: SurfaceConfig,
     keyframes: KeyframeConfig,
     policy: KeyframePolicy,
     grid: DepthGrid,
+    registrar: Registrar,
     map: SparseMap,
     color: ColorAligner,
+    relocalizer: Relocalizer,
     motion: MotionModel,
+    footing: Footing,
     newest_keyframe: Option<KeyframeId>,
     /// The last trusted frame that was not held out, unless it became a keyframe.
     unmapped: Option<(Arc<RgbdFrame>, Located)>,
 }
 
-/// A trusted pose of the depth camera.
-#[derive(Clone, Copy)]
-struct Registered {
-    world_from_depth: Se3,
-    /// Tangent in the depth camera's axes.
-    information: Option<Matrix6<f64>>,
-}
-
-/// Where a trusted frame was taken.
-#[derive(Clone, Copy)]
-struct Located {
-    world_from_camera: Se3,
-    /// Twist `[omega, v]` in the camera's axes, rad/s and m/s.
-    velocity: Vector6<f64>,
-    /// See [`Keyframe::information`].
-    information: Option<Matrix6<f64>>,
-}
-
-impl Located {
-    /// What is known of the pose; `None` where nothing was registered.
-    fn prior(&self) -> Option<PosePrior> {
-        Some(PosePrior {
-            world_from_camera: self.world_from_camera,
-            information: self.information?,
-        })
-    }
+/// What the camera's last pose is worth.
+enum Footing {
+    /// It is trusted.
+    Firm,
+    /// The camera is lost.
+    Lost,
+    /// It was found again by one frame. If the next does not agree, the motion before is taken up.
+    Found { before: MotionModel },
 }
 
 /// What the tracker says of a frame.
 pub struct Tracked {
+    /// What its pose is worth.
+    pub verdict: Verdict,
     /// Its pose; `None` when lost.
     pub world_from_camera: Option<Se3>,
     /// How well it could be registered.
@@ -102,14 +75,15 @@ impl Tracker {
         Self {
             policy: KeyframePolicy::new(&config.keyframes),
             grid: tracking_grid(config, camera),
+            registrar: Registrar::new(config),
             map: SparseMap::new(config.tracking.max_correspondence_distance_m),
             color: ColorAligner::default(),
+            relocalizer: Relocalizer::default(),
             motion: MotionModel::default(),
+            footing: Footing::Firm,
             newest_keyframe: None,
             unmapped: None,
             keyframes: config.keyframes.clone(),
-            surface: config.surface.clone(),
-            config: config.tracking.clone(),
         }
     }
 
@@ -118,62 +92,48 @@ impl Tracker {
     pub fn track(&mut self, frame: &Arc<RgbdFrame>, admission: Admission) -> Tracked {
         let start = Instant::now();
         let points = self.grid.surface_points(&frame.depth_m, &frame.camera);
-        let mut quality = TrackingQuality {
-            points: points.len(),
-            sparse_points: self.map.points().len(),
-            ..TrackingQuality::default()
+        let sparse_points = self.map.points().len();
+        let measured = Measured {
+            frame,
+            points: &points,
         };
-        let allowed = admission == Admission::Allowed;
-        let registered = if allowed || self.newest_keyframe.is_some() {
-            self.register(frame, &points, &mut quality)
+        let found = if self.newest_keyframe.is_some() {
+            self.find(measured)
+        } else if admission == Admission::Allowed {
+            let origin = Se3::identity();
+            self.registrar.place(measured, self.known(), &origin)
         } else {
             None
         };
-        let mut work = None;
-        let mut world_from_camera = None;
-        if let Some(registered) = registered {
-            let seconds = frame.timestamp_secs;
-            let velocity = self
-                .motion
-                .velocity_to(&registered.world_from_depth, seconds);
-            let frame = &shared(frame, frame.with_steady_color(&velocity));
-            let pyramid = self.config.color.then(|| ColorAligner::pyramid(frame));
-            let located = self.locate(frame, &registered, velocity, pyramid.as_ref());
-            quality.agreement = pyramid.as_ref().and_then(|pyramid| {
-                (self.color).agreement(pyramid, &frame.depth_m, &located.world_from_camera)
-            });
-            world_from_camera = Some(located.world_from_camera);
-            let color_from_depth = frame.depth_sensor.color_from_depth(&velocity);
-            self.motion
-                .observe(located.world_from_camera * color_from_depth, seconds);
-            let overlap_share = quality.inliers as f64 / points.len() as f64;
-            if let Some(kind) = self.policy.decide(overlap_share, allowed) {
-                let made = self.make_keyframe(kind, frame, &located, &points);
-                if let Some(pyramid) = &pyramid {
-                    self.color.add(&made, pyramid);
-                }
-                self.unmapped = None;
-                work = Some(FrameWork::Keyframe(Box::new(made)));
-            } else {
-                if admission != Admission::HeldOut {
-                    self.unmapped = Some((Arc::clone(frame), located));
-                }
-                let to_align = pyramid.zip(located.prior());
-                work = to_align.map(|(pyramid, prior)| {
-                    FrameWork::Align(Box::new(FrameToAlign {
-                        index: frame.index,
-                        pyramid,
-                        prior,
-                    }))
-                });
-            }
-        }
-        quality.duration = start.elapsed();
-        Tracked {
-            world_from_camera,
+        let mut quality = TrackingQuality {
+            points: points.len(),
+            sparse_points,
+            ..TrackingQuality::default()
+        };
+        let mut tracked = Tracked {
+            verdict: Verdict::Lost,
+            world_from_camera: None,
             quality,
-            work,
+            work: None,
+        };
+        if let Some(attempt) = found {
+            quality.of(&attempt.evidence);
+            tracked.verdict = self.believe(attempt.verdict);
+            if tracked.verdict > Verdict::Lost {
+                tracked.world_from_camera = Some(attempt.located.world_from_camera);
+                self.stand_at(&attempt);
+            }
+            if tracked.verdict == Verdict::Tracked {
+                tracked.work = self.work(attempt, &points, admission);
+            }
+        } else {
+            self.believe(Verdict::Lost);
         }
+        tracked.quality = TrackingQuality {
+            duration: start.elapsed(),
+            ..quality
+        };
+        tracked
     }
 
     /// The keyframe that the last trusted frame becomes when the recording ends, so that the map
@@ -198,150 +158,125 @@ impl Tracker {
     pub fn move_keyframes(&mut self, moves: &[(KeyframeId, Se3)]) {
         self.map.move_anchored(moves);
         self.color.move_keyframes(moves);
+        self.relocalizer.move_keyframes(moves);
         let newest = moves
             .iter()
             .find(|(id, _)| Some(*id) == self.newest_keyframe);
         if let Some((_, new_from_old)) = newest {
             self.motion.move_world(new_from_old);
+            self.relocalizer.move_camera(new_from_old);
+            if let Footing::Found { before } = &mut self.footing {
+                before.move_world(new_from_old);
+            }
             if let Some((_, located)) = &mut self.unmapped {
                 located.world_from_camera = *new_from_old * located.world_from_camera;
             }
         }
     }
 
-    /// The depth camera's pose if it can be trusted; how well it fits goes into `quality`.
-    fn register(
-        &self,
-        frame: &RgbdFrame,
-        points: &[SurfacePoint],
-        quality: &mut TrackingQuality,
-    ) -> Option<Registered> {
-        if points.len() < MIN_POINTS {
-            return None;
-        }
-        let Some(predicted) = self.motion.predict(frame.timestamp_secs) else {
-            // The first frame with enough depth: its colour camera is at the origin.
-            return Some(Registered {
-                world_from_depth: frame.depth_sensor.color_from_depth,
-                information: None,
-            });
-        };
-        let seconds = frame.timestamp_secs;
-        let velocity = self.motion.velocity_at(seconds);
-        // A registration that is impossible leaves the frame lost; the run goes on.
-        let mut source = self.disks(points, frame, &velocity);
-        let mut alignment = self.align(&source, &predicted)?;
-        let mut registered = self.registered(&alignment, &source, &predicted);
-        if frame.depth_sensor.readout_secs != 0.0 {
-            // Where the rows were read from follows from the velocity, which is known better now.
-            let start = registered.world_from_depth;
-            let velocity = self.motion.velocity_to(&start, seconds);
-            source = self.disks(points, frame, &velocity);
-            alignment = self.align(&source, &start)?;
-            registered = self.registered(&alignment, &source, &predicted);
-        }
-        quality.inliers = alignment.inliers;
-        quality.residual_m = alignment.rms_residual_m;
-        quality.conditioning = alignment.conditioning.weakest;
-        self.is_trusted(&alignment).then_some(registered)
-    }
-
-    /// The pose of a registration where its points hold the camera, the predicted one where they do not.
-    fn registered(&self, alignment: &Alignment, source: &[Point], predicted: &Se3) -> Registered {
-        let thickness = self.surface.disk_thickness;
-        let held = held_information(alignment, source, thickness, SENSOR_NOISE_M);
-        let trust = self.config.depth_trust;
-        Registered {
-            world_from_depth: fused_pose(
-                &alignment.target_from_source,
-                predicted,
-                [&(trust * held), &predicted_information()],
-            ),
-            information: Some(trust * alignment.information(SENSOR_NOISE_M)),
+    fn known(&self) -> Known<'_> {
+        Known {
+            map: &self.map,
+            keyframes: &self.color,
+            motion: &self.motion,
         }
     }
 
-    /// Registers points with the sparse map.
-    fn align(&self, source: &[Point], start: &Se3) -> Option<Alignment> {
-        let settings = Settings {
-            max_correspondence_distance_m: self.config.max_correspondence_distance_m as f32,
-            rotation_epsilon_rad: ROTATION_EPSILON_RAD,
-            translation_epsilon_m: TRANSLATION_EPSILON_M,
-            ..Settings::default()
-        };
-        let alignment = align(source, self.map.points(), start, &settings).ok()?;
-        if alignment.converged {
-            return Some(alignment);
+    /// The best pose of a frame that can be found; `None` if it cannot be registered at all.
+    fn find(&self, measured: Measured) -> Option<Attempt> {
+        let attempt = |start: &Start| self.registrar.attempt(measured, self.known(), start);
+        let predicted = self.motion.predict(measured.frame.timestamp_secs)?;
+        let mut best = attempt(&Start::predicted(predicted));
+        let is_clear = |best: &Option<Attempt>| best.as_ref().is_some_and(|best| !best.is_doubtful);
+        if is_clear(&best) {
+            return best;
         }
-        // Oscillating correspondences keep it from the last digits: the published tolerances will do.
-        let published = Settings {
-            rotation_epsilon_rad: Settings::default().rotation_epsilon_rad,
-            translation_epsilon_m: Settings::default().translation_epsilon_m,
-            ..settings
-        };
-        let start = alignment.target_from_source;
-        align(source, self.map.points(), &start, &published).ok()
-    }
-
-    /// The colour camera's pose: from the depth camera's by its motion between the two images, then
-    /// by what the colours say.
-    fn locate(
-        &self,
-        frame: &RgbdFrame,
-        registered: &Registered,
-        velocity: Vector6<f64>,
-        pyramid: Option<&IntensityPyramid>,
-    ) -> Located {
-        let depth_from_color = frame.depth_sensor.color_from_depth(&velocity).inverse();
-        let mut located = Located {
-            world_from_camera: registered.world_from_depth * depth_from_color,
-            velocity,
-            information: registered.information.map(|information| {
-                let depth_by_color = depth_from_color.adjoint();
-                depth_by_color.transpose() * information * depth_by_color
-            }),
-        };
-        if let Some(pyramid) = pyramid
-            && let Some(information) = &mut located.information
-        {
-            let prior = PosePrior {
-                world_from_camera: located.world_from_camera,
-                information: *information,
-            };
-            if let Some(aligned) = self.color.align(pyramid, &prior) {
-                located.world_from_camera = aligned.world_from_camera;
-                *information += aligned.information;
+        let features = Features::detect(measured.frame);
+        let nearby = || self.relocalizer.guesses_nearby(&features);
+        let anywhere = || self.relocalizer.guesses_anywhere(measured.frame, &features);
+        let is_lost = !matches!(self.footing, Footing::Firm);
+        let guesses: [&dyn Fn() -> Vec<Guess>; 2] = [&nearby, &anywhere];
+        for guesses in guesses.into_iter().take(if is_lost { 2 } else { 1 }) {
+            for guess in guesses() {
+                let color_from_depth = measured.frame.depth_sensor.color_from_depth;
+                let other = attempt(&Start {
+                    world_from_depth: guess.world_from_camera * color_from_depth,
+                    information: guess.information,
+                });
+                best = better(best, other);
+                if is_clear(&best) {
+                    return best;
+                }
             }
         }
-        located
+        best
     }
 
-    fn is_trusted(&self, alignment: &Alignment) -> bool {
-        alignment.converged
-            && alignment.inlier_share >= self.config.min_inlier_share
-            && alignment.conditioning.weakest >= self.config.min_conditioning
+    /// What a frame's own verdict is worth after those before it.
+    fn believe(&mut self, own: Verdict) -> Verdict {
+        let (footing, verdict) = match (std::mem::replace(&mut self.footing, Footing::Firm), own) {
+            (Footing::Firm, Verdict::Lost) => (Footing::Lost, own),
+            (Footing::Firm, _) => (Footing::Firm, own),
+            (Footing::Lost, Verdict::Tracked) => {
+                let before = self.motion.clone();
+                (Footing::Found { before }, Verdict::Weak)
+            }
+            (Footing::Lost, _) => (Footing::Lost, Verdict::Lost),
+            (Footing::Found { .. }, Verdict::Tracked) => (Footing::Firm, own),
+            (Footing::Found { before }, _) => {
+                self.motion = before;
+                (Footing::Lost, Verdict::Lost)
+            }
+        };
+        self.footing = footing;
+        verdict
     }
 
-    /// Disks in the depth camera's axes when it read its middle row.
-    fn disks(
-        &self,
+    /// The camera is where a frame was found.
+    fn stand_at(&mut self, attempt: &Attempt) {
+        let Attempt { located, frame, .. } = attempt;
+        let color_from_depth = frame.depth_sensor.color_from_depth(&located.velocity);
+        let world_from_depth = located.world_from_camera * color_from_depth;
+        self.motion.observe(world_from_depth, frame.timestamp_secs);
+    }
+
+    /// What a trusted frame gives the mapper: a keyframe, or a frame to align.
+    fn work(
+        &mut self,
+        attempt: Attempt,
         points: &[SurfacePoint],
-        frame: &RgbdFrame,
-        velocity: &Vector6<f64>,
-    ) -> Vec<Point> {
-        if frame.depth_sensor.readout_secs == 0.0 {
-            return points.par_iter().map(|point| self.disk(point)).collect();
+        admission: Admission,
+    ) -> Option<FrameWork> {
+        let Attempt {
+            located,
+            frame,
+            pyramid,
+            evidence,
+            ..
+        } = attempt;
+        self.relocalizer.observe(&frame, &located.world_from_camera);
+        let overlap_share = evidence.inliers as f64 / points.len() as f64;
+        let allowed = admission == Admission::Allowed;
+        let has_left = pyramid.as_ref().is_some_and(|pyramid| {
+            (self.color).has_left_newest(pyramid, &located.world_from_camera)
+        });
+        if let Some(kind) = self.policy.decide(overlap_share, has_left, allowed) {
+            let made = self.make_keyframe(kind, &frame, &located, points);
+            if let Some(pyramid) = &pyramid {
+                self.color.add(&made, pyramid);
+            }
+            self.relocalizer.add(&made);
+            self.unmapped = None;
+            return Some(FrameWork::Keyframe(Box::new(made)));
         }
-        let middle_from_rows =
-            (frame.depth_sensor).middle_from_rows(frame.depth_m.height(), velocity);
-        points
-            .par_iter()
-            .map(|point| self.disk(point).transformed(&middle_from_rows[point.v]))
-            .collect()
-    }
-
-    fn disk(&self, point: &SurfacePoint) -> Point {
-        point.disk(self.surface.disk_thickness, self.surface.noise_power)
+        if admission != Admission::HeldOut {
+            self.unmapped = Some((Arc::clone(&frame), located));
+        }
+        Some(FrameWork::Align(Box::new(FrameToAlign {
+            index: frame.index,
+            pyramid: pyramid?,
+            prior: located.prior()?,
+        })))
     }
 
     fn make_keyframe(
@@ -387,7 +322,8 @@ impl Tracker {
             .iter()
             .filter(|point| frame.has_color(point.u, point.v))
             .collect();
-        let to_world = |point: &&SurfacePoint| self.disk(point).transformed(world_from_camera);
+        let to_world =
+            |point: &&SurfacePoint| self.registrar.disk(point).transformed(world_from_camera);
         let in_world: Vec<Point> = points.par_iter().map(to_world).collect();
         let spacing_m = self.keyframes.new_point_distance_m;
         let joined = self.map.extend(id, &in_world, spacing_m);
@@ -408,19 +344,11 @@ impl Tracker {
     }
 }
 
-/// How sure the motion model is of a pose, tangent `[omega, v]`.
-fn predicted_information() -> Matrix6<f64> {
-    let (turn, shift) = (
-        PREDICTED_ROTATION_RAD.powi(-2),
-        PREDICTED_TRANSLATION_M.powi(-2),
-    );
-    Matrix6::from_diagonal(&Vector6::new(turn, turn, turn, shift, shift, shift))
-}
-
-/// A frame that may be the same as one that is shared already.
-fn shared(frame: &Arc<RgbdFrame>, changed: Cow<'_, RgbdFrame>) -> Arc<RgbdFrame> {
-    match changed {
-        Cow::Borrowed(_) => Arc::clone(frame),
-        Cow::Owned(changed) => Arc::new(changed),
+/// The better of two poses of a frame.
+fn better(a: Option<Attempt>, b: Option<Attempt>) -> Option<Attempt> {
+    let worth = |attempt: &Attempt| (attempt.verdict, attempt.evidence.strength());
+    match (a, b) {
+        (Some(a), Some(b)) => Some(if worth(&b) > worth(&a) { b } else { a }),
+        (a, b) => a.or(b),
     }
 }

@@ -1,0 +1,299 @@
+//! Finds a frame's pose from a guess: registration of its surfaces with the sparse map, then
+//! alignment with keyframes by brightness. Says how much speaks for the answer.
+
+use std::borrow::Cow;
+use std::sync::Arc;
+
+use fgs_direct::{IntensityPyramid, PosePrior};
+use fgs_geom::{RgbdFrame, Se3};
+use fgs_gicp::{Alignment, Point, Settings, SurfacePoint, align};
+use nalgebra::{Matrix6, Vector6};
+use rayon::prelude::*;
+
+use crate::color_aligner::ColorAligner;
+use crate::config::{SlamConfig, SurfaceConfig, TrackingConfig};
+use crate::motion::MotionModel;
+use crate::sparse_map::SparseMap;
+use crate::verdict::{Evidence, Limits, Verdict};
+use crate::weak_directions::{fused_pose, held_information};
+
+/// Fewer points with a surface say nothing about the camera.
+const MIN_POINTS: usize = 50;
+
+/// A registration has converged when a step is smaller. Half of the published 2e-3 and 5e-4: the
+/// last step costs little, and what it misses adds up along the way.
+const ROTATION_EPSILON_RAD: f64 = 1e-3;
+const TRANSLATION_EPSILON_M: f64 = 2e-4;
+
+/// No depth camera measures a surface better than this at the distances of a room: a floor under
+/// the noise that a registration finds in its residuals.
+const SENSOR_NOISE_M: f64 = 1e-4;
+
+/// Standard deviations of what a hand does between two frames that the motion model does not predict.
+const PREDICTED_ROTATION_RAD: f64 = 0.02;
+const PREDICTED_TRANSLATION_M: f64 = 0.02;
+
+/// Registers frames; settings only.
+pub struct Registrar {
+    config: TrackingConfig,
+    surface: SurfaceConfig,
+}
+
+/// What frames are registered with.
+#[derive(Clone, Copy)]
+pub struct Known<'a> {
+    pub map: &'a SparseMap,
+    pub keyframes: &'a ColorAligner,
+    pub motion: &'a MotionModel,
+}
+
+/// A frame and its surface points.
+#[derive(Clone, Copy)]
+pub struct Measured<'a> {
+    pub frame: &'a Arc<RgbdFrame>,
+    pub points: &'a [SurfacePoint],
+}
+
+/// Where a registration starts: the depth camera's pose.
+#[derive(Clone, Copy)]
+pub struct Start {
+    pub world_from_depth: Se3,
+    /// How sure it is, tangent `[omega, v]`: where the frame's points do not hold the camera, it stays.
+    pub information: Matrix6<f64>,
+}
+
+impl Start {
+    /// What the motion model predicts.
+    pub fn predicted(world_from_depth: Se3) -> Self {
+        let (turn, shift) = (
+            PREDICTED_ROTATION_RAD.powi(-2),
+            PREDICTED_TRANSLATION_M.powi(-2),
+        );
+        let information =
+            Matrix6::from_diagonal(&Vector6::new(turn, turn, turn, shift, shift, shift));
+        Self {
+            world_from_depth,
+            information,
+        }
+    }
+}
+
+/// A pose that was found, and what speaks for it.
+pub struct Attempt {
+    pub located: Located,
+    /// The frame as of the middle row of its colour image.
+    pub frame: Arc<RgbdFrame>,
+    /// Its brightness, if colour takes part in tracking.
+    pub pyramid: Option<IntensityPyramid>,
+    pub evidence: Evidence,
+    /// What the evidence is worth.
+    pub verdict: Verdict,
+    /// Whether it is worth looking for a better pose.
+    pub is_doubtful: bool,
+}
+
+/// Where a frame was taken.
+#[derive(Clone, Copy)]
+pub struct Located {
+    pub world_from_camera: Se3,
+    /// Twist `[omega, v]` in the camera's axes, rad/s and m/s.
+    pub velocity: Vector6<f64>,
+    /// See [`Keyframe::information`](crate::Keyframe::information).
+    pub information: Option<Matrix6<f64>>,
+}
+
+impl Located {
+    /// What is known of the pose; `None` where nothing was registered.
+    pub fn prior(&self) -> Option<PosePrior> {
+        Some(PosePrior {
+            world_from_camera: self.world_from_camera,
+            information: self.information?,
+        })
+    }
+}
+
+/// The depth camera's pose.
+#[derive(Clone, Copy)]
+struct Registered {
+    world_from_depth: Se3,
+    /// Tangent in the depth camera's axes.
+    information: Option<Matrix6<f64>>,
+}
+
+impl Registrar {
+    pub fn new(config: &SlamConfig) -> Self {
+        Self {
+            config: config.tracking.clone(),
+            surface: config.surface.clone(),
+        }
+    }
+
+    /// The pose of the frame that starts a map: its colour camera is at a pose of our choice. `None` if
+    /// it has too few points.
+    pub fn place(
+        &self,
+        measured: Measured,
+        known: Known,
+        world_from_camera: &Se3,
+    ) -> Option<Attempt> {
+        (measured.points.len() >= MIN_POINTS).then(|| {
+            let color_from_depth = measured.frame.depth_sensor.color_from_depth;
+            let registered = Registered {
+                world_from_depth: *world_from_camera * color_from_depth,
+                information: None,
+            };
+            Attempt {
+                verdict: Verdict::Tracked,
+                is_doubtful: false,
+                ..self.locate(measured, known, &registered, Evidence::default())
+            }
+        })
+    }
+
+    /// The pose of a frame, found from a start; `None` if it cannot be registered at all.
+    pub fn attempt(&self, measured: Measured, known: Known, start: &Start) -> Option<Attempt> {
+        let Measured { frame, points } = measured;
+        if points.len() < MIN_POINTS {
+            return None;
+        }
+        let seconds = frame.timestamp_secs;
+        let velocity = known.motion.velocity_to(&start.world_from_depth, seconds);
+        let mut source = self.disks(points, frame, &velocity);
+        let mut alignment = self.align(&source, known.map, &start.world_from_depth)?;
+        let mut registered = self.registered(&alignment, &source, start);
+        if frame.depth_sensor.readout_secs != 0.0 {
+            // Where the rows were read from follows from the velocity, which is known better now.
+            let better = registered.world_from_depth;
+            let velocity = known.motion.velocity_to(&better, seconds);
+            source = self.disks(points, frame, &velocity);
+            alignment = self.align(&source, known.map, &better)?;
+            registered = self.registered(&alignment, &source, start);
+        }
+        let evidence = Evidence {
+            converged: alignment.converged,
+            inliers: alignment.inliers,
+            inlier_share: alignment.inlier_share,
+            residual_m: alignment.rms_residual_m,
+            conditioning: alignment.conditioning.weakest,
+            agreement: None,
+        };
+        Some(self.locate(measured, known, &registered, evidence))
+    }
+
+    /// The pose of a registration where its points hold the camera, the start where they do not.
+    fn registered(&self, alignment: &Alignment, source: &[Point], start: &Start) -> Registered {
+        let thickness = self.surface.disk_thickness;
+        let held = held_information(alignment, source, thickness, SENSOR_NOISE_M);
+        let trust = self.config.depth_trust;
+        Registered {
+            world_from_depth: fused_pose(
+                &alignment.target_from_source,
+                &start.world_from_depth,
+                [&(trust * held), &start.information],
+            ),
+            information: Some(trust * alignment.information(SENSOR_NOISE_M)),
+        }
+    }
+
+    /// Registers points with the sparse map.
+    fn align(&self, source: &[Point], map: &SparseMap, start: &Se3) -> Option<Alignment> {
+        let settings = Settings {
+            max_correspondence_distance_m: self.config.max_correspondence_distance_m as f32,
+            rotation_epsilon_rad: ROTATION_EPSILON_RAD,
+            translation_epsilon_m: TRANSLATION_EPSILON_M,
+            ..Settings::default()
+        };
+        let alignment = align(source, map.points(), start, &settings).ok()?;
+        if alignment.converged {
+            return Some(alignment);
+        }
+        // Oscillating correspondences keep it from the last digits: the published tolerances will do.
+        let published = Settings {
+            rotation_epsilon_rad: Settings::default().rotation_epsilon_rad,
+            translation_epsilon_m: Settings::default().translation_epsilon_m,
+            ..settings
+        };
+        let start = alignment.target_from_source;
+        align(source, map.points(), &start, &published).ok()
+    }
+
+    /// The colour camera's pose: from the depth camera's by its motion between the two images, then
+    /// by what the colours say.
+    fn locate(
+        &self,
+        measured: Measured,
+        known: Known,
+        registered: &Registered,
+        mut evidence: Evidence,
+    ) -> Attempt {
+        let seconds = measured.frame.timestamp_secs;
+        let velocity = (known.motion).velocity_to(&registered.world_from_depth, seconds);
+        let frame = shared(measured.frame, measured.frame.with_steady_color(&velocity));
+        let pyramid = self.config.color.then(|| ColorAligner::pyramid(&frame));
+        let depth_from_color = frame.depth_sensor.color_from_depth(&velocity).inverse();
+        let mut located = Located {
+            world_from_camera: registered.world_from_depth * depth_from_color,
+            velocity,
+            information: registered.information.map(|information| {
+                let depth_by_color = depth_from_color.adjoint();
+                depth_by_color.transpose() * information * depth_by_color
+            }),
+        };
+        if let Some(pyramid) = &pyramid {
+            if let Some(prior) = located.prior()
+                && let Some(aligned) = known.keyframes.align(pyramid, &prior)
+            {
+                located.world_from_camera = aligned.world_from_camera;
+                located.information = Some(prior.information + aligned.information);
+            }
+            let pose = &located.world_from_camera;
+            evidence.agreement = known.keyframes.agreement(pyramid, &frame.depth_m, pose);
+        }
+        Attempt {
+            verdict: evidence.verdict(&self.limits()),
+            is_doubtful: evidence.is_doubtful(&self.limits()),
+            located,
+            frame,
+            pyramid,
+            evidence,
+        }
+    }
+
+    fn limits(&self) -> Limits {
+        Limits {
+            min_inlier_share: self.config.min_inlier_share,
+            min_conditioning: self.config.min_conditioning,
+        }
+    }
+
+    /// Disks in the depth camera's axes when it read its middle row.
+    fn disks(
+        &self,
+        points: &[SurfacePoint],
+        frame: &RgbdFrame,
+        velocity: &Vector6<f64>,
+    ) -> Vec<Point> {
+        if frame.depth_sensor.readout_secs == 0.0 {
+            return points.par_iter().map(|point| self.disk(point)).collect();
+        }
+        let middle_from_rows =
+            (frame.depth_sensor).middle_from_rows(frame.depth_m.height(), velocity);
+        points
+            .par_iter()
+            .map(|point| self.disk(point).transformed(&middle_from_rows[point.v]))
+            .collect()
+    }
+
+    /// A point as a disk in the depth camera's axes.
+    pub fn disk(&self, point: &SurfacePoint) -> Point {
+        point.disk(self.surface.disk_thickness, self.surface.noise_power)
+    }
+}
+
+/// A frame that may be the same as one that is shared already.
+pub fn shared(frame: &Arc<RgbdFrame>, changed: Cow<'_, RgbdFrame>) -> Arc<RgbdFrame> {
+    match changed {
+        Cow::Borrowed(_) => Arc::clone(frame),
+        Cow::Owned(changed) => Arc::new(changed),
+    }
+}

@@ -1,0 +1,123 @@
+//! Guesses of a frame's pose that need no idea of where the camera is: corners matched with those of
+//! keyframes, and of the frame before. They are tried when the motion model has failed.
+
+use std::sync::Arc;
+
+use fgs_features::{Features, match_features, relative_pose};
+use fgs_geom::{KeyframeId, RgbdFrame, Se3};
+use fgs_place::{PlaceDescriptor, PlaceIndex};
+use nalgebra::Matrix6;
+
+use crate::keyframes::Keyframe;
+
+/// Keyframes that are most like a frame are tried, up to so many.
+const CANDIDATES: usize = 5;
+
+/// Of the random draws by which corners are told from chance.
+const SEED: u64 = 1;
+
+/// What is needed of keyframes to find a lost camera.
+#[derive(Default)]
+pub struct Relocalizer {
+    places: PlaceIndex,
+    /// In the order they came, which is that of their ids.
+    keyframes: Vec<KnownPlace>,
+    /// The last frame with a trusted pose.
+    last: Option<(Arc<RgbdFrame>, Se3)>,
+}
+
+/// Where a frame may have been taken.
+pub struct Guess {
+    /// The colour camera's pose.
+    pub world_from_camera: Se3,
+    /// How sure it is, tangent `[omega, v]` in the camera's axes.
+    pub information: Matrix6<f64>,
+    /// Corners that agree with it.
+    inliers: usize,
+}
+
+struct KnownPlace {
+    id: KeyframeId,
+    world_from_camera: Se3,
+    features: Features,
+}
+
+impl Relocalizer {
+    /// A keyframe joined the map.
+    pub fn add(&mut self, keyframe: &Keyframe) {
+        let frame = &keyframe.frame;
+        self.places.add(keyframe.id, &PlaceDescriptor::new(frame));
+        self.keyframes.push(KnownPlace {
+            id: keyframe.id,
+            world_from_camera: keyframe.world_from_camera,
+            features: Features::detect(frame),
+        });
+    }
+
+    /// A frame whose pose is trusted.
+    pub fn observe(&mut self, frame: &Arc<RgbdFrame>, world_from_camera: &Se3) {
+        self.last = Some((Arc::clone(frame), *world_from_camera));
+    }
+
+    /// Where a frame was taken, judged by the last trusted frame and the newest keyframe, the more
+    /// probable first.
+    pub fn guesses_nearby(&self, frame: &Features) -> Vec<Guess> {
+        let last = self.last.iter().filter_map(|(last, world_from_last)| {
+            Guess::new(frame, &Features::detect(last), world_from_last)
+        });
+        let newest = self.keyframes.last();
+        sorted(last.chain(newest.and_then(|keyframe| keyframe.guess(frame))))
+    }
+
+    /// Where a frame was taken, judged by the keyframes that look most like it.
+    pub fn guesses_anywhere(&self, frame: &RgbdFrame, features: &Features) -> Vec<Guess> {
+        let similar = (self.places).most_similar(&PlaceDescriptor::new(frame), CANDIDATES);
+        let guesses = similar.iter().filter_map(|similar| {
+            let of_id = |keyframe: &&KnownPlace| keyframe.id == similar.id;
+            self.keyframes.iter().find(of_id)?.guess(features)
+        });
+        sorted(guesses)
+    }
+
+    /// Keyframes were moved, each by its `new_world_from_old_world`.
+    pub fn move_keyframes(&mut self, moves: &[(KeyframeId, Se3)]) {
+        for keyframe in &mut self.keyframes {
+            for (_, new_from_old) in moves.iter().filter(|(id, _)| *id == keyframe.id) {
+                keyframe.world_from_camera = *new_from_old * keyframe.world_from_camera;
+            }
+        }
+    }
+
+    /// The world around the newest keyframe moved rigidly, and the camera with it.
+    pub fn move_camera(&mut self, new_from_old: &Se3) {
+        if let Some((_, world_from_camera)) = &mut self.last {
+            *world_from_camera = *new_from_old * *world_from_camera;
+        }
+    }
+}
+
+impl KnownPlace {
+    fn guess(&self, frame: &Features) -> Option<Guess> {
+        Guess::new(frame, &self.features, &self.world_from_camera)
+    }
+}
+
+impl Guess {
+    /// From the corners that a frame has in common with another, whose pose is known.
+    fn new(frame: &Features, other: &Features, world_from_other: &Se3) -> Option<Self> {
+        let matches = match_features(other, frame);
+        let relative = relative_pose(other, frame, &matches, SEED)?;
+        Some(Self {
+            world_from_camera: *world_from_other * relative.a_from_b,
+            information: relative.information,
+            inliers: relative.inliers,
+        })
+    }
+}
+
+/// By falling number of inliers.
+fn sorted(guesses: impl Iterator<Item = Guess>) -> Vec<Guess> {
+    let mut guesses: Vec<_> = guesses.collect();
+    guesses.sort_by_key(|guess| std::cmp::Reverse(guess.inliers));
+    guesses
+}

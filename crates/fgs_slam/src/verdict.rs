@@ -1,0 +1,97 @@
+//! Whether a pose can be trusted, from what speaks for it. A wrong pose that is believed spoils the
+//! map for good; a frame too many that is lost costs little.
+//!
+//! Differs from the paper, which believes every pose.
+
+use fgs_direct::Agreement;
+
+/// So many of a keyframe's points tell whether a frame agrees with it.
+const MIN_COMPARED: usize = 30;
+
+/// A frame's support is its likeness to a keyframe less the share of the keyframe's points that it sees
+/// through. With less than this it was not taken there.
+const MIN_SUPPORT: f64 = 0.25;
+
+/// With this much a pose is trusted.
+const GOOD_SUPPORT: f64 = 0.45;
+
+/// With this much there is no need to look for a better one. Such a frame may show much that the map
+/// lacks: only so many of its points need to be registered.
+const CLEAR_SUPPORT: f64 = 0.75;
+const CLEAR_INLIER_SHARE: f64 = 0.3;
+
+/// What to make of a pose.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Verdict {
+    /// It is wrong, or nothing speaks for it.
+    Lost,
+    /// It is probably right, but nothing should be built on it.
+    Weak,
+    /// It is right.
+    Tracked,
+}
+
+/// Below these a frame is lost: settings of tracking.
+#[derive(Clone, Copy, Debug)]
+pub struct Limits {
+    pub min_inlier_share: f64,
+    pub min_conditioning: f64,
+}
+
+/// What speaks for a pose.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Evidence {
+    /// Whether registration settled.
+    pub converged: bool,
+    /// Points that were registered.
+    pub inliers: usize,
+    /// The share of the frame's points that they are.
+    pub inlier_share: f64,
+    /// Root mean square of their distances along the normals, metres.
+    pub residual_m: f64,
+    /// How well the weakest direction is constrained relative to the strongest, 0 to 1.
+    pub conditioning: f64,
+    /// How the frame agrees with a keyframe, if there is one to compare with.
+    pub agreement: Option<Agreement>,
+}
+
+impl Evidence {
+    /// The verdict.
+    pub fn verdict(&self, limits: &Limits) -> Verdict {
+        let support = self.support();
+        let needed = if support.is_some_and(|support| support >= CLEAR_SUPPORT) {
+            limits.min_inlier_share.min(CLEAR_INLIER_SHARE)
+        } else {
+            limits.min_inlier_share
+        };
+        let registered = self.converged
+            && self.inlier_share >= needed
+            && self.conditioning >= limits.min_conditioning;
+        match support {
+            _ if !registered => Verdict::Lost,
+            Some(support) if support < MIN_SUPPORT => Verdict::Lost,
+            Some(support) if support < GOOD_SUPPORT => Verdict::Weak,
+            _ => Verdict::Tracked,
+        }
+    }
+
+    /// Whether it is worth looking for a better pose.
+    pub fn is_doubtful(&self, limits: &Limits) -> bool {
+        self.verdict(limits) < Verdict::Tracked
+            || self.inlier_share < limits.min_inlier_share
+            || self
+                .support()
+                .is_some_and(|support| support < CLEAR_SUPPORT)
+    }
+
+    /// Orders poses of one frame that have the same verdict.
+    pub fn strength(&self) -> f64 {
+        self.inlier_share * (1.0 + self.support().unwrap_or(0.0).max(0.0))
+    }
+
+    /// What a keyframe says of the pose, up to 1; `None` if too little could be compared.
+    fn support(&self) -> Option<f64> {
+        let seen = self.agreement.filter(|seen| seen.points >= MIN_COMPARED)?;
+        Some(seen.likeness - seen.seen_through)
+    }
+}
