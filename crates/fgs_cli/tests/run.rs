@@ -22,10 +22,11 @@ const FILES: [&str; 6] = [
     "trajectory.txt",
 ];
 
-const COUNTS: [&str; 13] = [
+const COUNTS: [&str; 14] = [
     "frames",
     "frames_dropped",
     "frames_lost",
+    "frames_weak",
     "frames_damaged",
     "fps",
     "tracking_ms",

@@ -132,6 +132,7 @@ fn metrics(
         frames: rows.len(),
         frames_dropped: count(FrameStatus::Dropped),
         frames_lost: count(FrameStatus::Lost),
+        frames_weak: count(FrameStatus::Weak),
         frames_damaged: count(FrameStatus::Damaged),
         interrupted: stop.load(Ordering::Relaxed),
         failure: output.failure.as_ref().map(ToString::to_string),

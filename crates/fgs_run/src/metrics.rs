@@ -19,6 +19,9 @@ pub struct Metrics {
     pub frames_dropped: usize,
     /// Of those: have no pose that can be trusted.
     pub frames_lost: usize,
+    /// Of those: have a pose that is probably right, on which nothing was built.
+    #[serde(default)]
+    pub frames_weak: usize,
     /// Of those: could not be read.
     pub frames_damaged: usize,
     /// Whether the run was stopped early.
@@ -122,9 +125,10 @@ impl Metrics {
         line(
             "frames",
             format!(
-                "{} ({} lost, {} damaged, {} dropped), {} keyframes",
+                "{} ({} lost, {} weak, {} damaged, {} dropped), {} keyframes",
                 self.frames,
                 self.frames_lost,
+                self.frames_weak,
                 self.frames_damaged,
                 self.frames_dropped,
                 self.keyframes
@@ -168,6 +172,7 @@ mod tests {
   "frames": 6,
   "frames_dropped": 1,
   "frames_lost": 2,
+  "frames_weak": 1,
   "frames_damaged": 3,
   "interrupted": false,
   "failure": null,
@@ -215,7 +220,7 @@ mod tests {
         assert_eq!(again, SAVED);
         assert_eq!(
             metrics.table(),
-            "  frames     6 (2 lost, 3 damaged, 1 dropped), 4 keyframes\n\
+            "  frames     6 (2 lost, 1 weak, 3 damaged, 1 dropped), 4 keyframes\n\
              \x20 ATE        1.250 cm rmse, 1.000 cm mean\n\
              \x20 PSNR       25.50 dB where depth is measured, 24.00 dB everywhere, 26.50 dB with exposure\n\
              \x20 SSIM       0.8750\n\

@@ -90,6 +90,8 @@ pub struct Attempt {
     pub verdict: Verdict,
     /// Whether it is worth looking for a better pose.
     pub is_doubtful: bool,
+    /// Whether it started from the look of a place alone.
+    pub is_relocalized: bool,
 }
 
 /// Where a frame was taken.
@@ -252,6 +254,7 @@ impl Registrar {
         Attempt {
             verdict: evidence.verdict(&self.limits()),
             is_doubtful: evidence.is_doubtful(&self.limits()),
+            is_relocalized: false,
             located,
             frame,
             pyramid,

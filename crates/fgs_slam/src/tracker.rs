@@ -2,8 +2,8 @@
 //! the sparse map at tracking keyframes. A plain struct without threads.
 //!
 //! A frame is registered from where the motion model expects it. If what is found there is doubtful,
-//! other starts are tried (relocalizer.rs), and the best pose is judged (verdict.rs). A camera that was
-//! lost is believed to be found when a second frame agrees.
+//! other starts are tried (relocalizer.rs), and the best pose is judged (verdict.rs). Where a lost camera
+//! is found by the look of a place, a second frame has to agree.
 //!
 //! Differs from the paper: it starts from a constant-velocity prediction, its target grows
 //! incrementally, every frame gets a verdict instead of a silent failure, and what the rows of a
@@ -52,7 +52,7 @@ enum Footing {
     Firm,
     /// The camera is lost.
     Lost,
-    /// It was found again by one frame. If the next does not agree, the motion before is taken up.
+    /// One frame says where it is. If the next does not agree, the motion before is taken up.
     Found { before: MotionModel },
 }
 
@@ -118,7 +118,8 @@ impl Tracker {
         };
         if let Some(attempt) = found {
             quality.of(&attempt.evidence);
-            tracked.verdict = self.believe(attempt.verdict);
+            let is_beyond_doubt = !attempt.is_doubtful && !attempt.is_relocalized;
+            tracked.verdict = self.believe(attempt.verdict, is_beyond_doubt);
             if tracked.verdict > Verdict::Lost {
                 tracked.world_from_camera = Some(attempt.located.world_from_camera);
                 self.stand_at(&attempt);
@@ -126,8 +127,8 @@ impl Tracker {
             if tracked.verdict == Verdict::Tracked {
                 tracked.work = self.work(attempt, &points, admission);
             }
-        } else {
-            self.believe(Verdict::Lost);
+        } else if self.newest_keyframe.is_some() {
+            self.believe(Verdict::Lost, false);
         }
         tracked.quality = TrackingQuality {
             duration: start.elapsed(),
@@ -186,43 +187,50 @@ impl Tracker {
     fn find(&self, measured: Measured) -> Option<Attempt> {
         let attempt = |start: &Start| self.registrar.attempt(measured, self.known(), start);
         let predicted = self.motion.predict(measured.frame.timestamp_secs)?;
-        let mut best = attempt(&Start::predicted(predicted));
         let is_clear = |best: &Option<Attempt>| best.as_ref().is_some_and(|best| !best.is_doubtful);
+        let mut best = attempt(&Start::predicted(predicted));
         if is_clear(&best) {
             return best;
         }
         let features = Features::detect(measured.frame);
-        let nearby = || self.relocalizer.guesses_nearby(&features);
-        let anywhere = || self.relocalizer.guesses_anywhere(measured.frame, &features);
-        let is_lost = !matches!(self.footing, Footing::Firm);
-        let guesses: [&dyn Fn() -> Vec<Guess>; 2] = [&nearby, &anywhere];
-        for guesses in guesses.into_iter().take(if is_lost { 2 } else { 1 }) {
-            for guess in guesses() {
-                let color_from_depth = measured.frame.depth_sensor.color_from_depth;
-                let other = attempt(&Start {
-                    world_from_depth: guess.world_from_camera * color_from_depth,
-                    information: guess.information,
-                });
-                best = better(best, other);
-                if is_clear(&best) {
-                    return best;
-                }
+        let color_from_depth = measured.frame.depth_sensor.color_from_depth;
+        let start_of = |guess: &Guess| Start {
+            world_from_depth: guess.world_from_camera * color_from_depth,
+            information: guess.information,
+        };
+        for guess in self.relocalizer.guesses_nearby(&features) {
+            best = better(best, attempt(&start_of(&guess)));
+            if is_clear(&best) {
+                return best;
+            }
+        }
+        if matches!(self.footing, Footing::Firm) {
+            return best;
+        }
+        for guess in (self.relocalizer).guesses_anywhere(measured.frame, &features) {
+            let relocalized = attempt(&start_of(&guess)).map(|attempt| Attempt {
+                is_relocalized: true,
+                ..attempt
+            });
+            best = better(best, relocalized);
+            if is_clear(&best) {
+                return best;
             }
         }
         best
     }
 
     /// What a frame's own verdict is worth after those before it.
-    fn believe(&mut self, own: Verdict) -> Verdict {
+    fn believe(&mut self, own: Verdict, is_beyond_doubt: bool) -> Verdict {
         let (footing, verdict) = match (std::mem::replace(&mut self.footing, Footing::Firm), own) {
             (Footing::Firm, Verdict::Lost) => (Footing::Lost, own),
-            (Footing::Firm, _) => (Footing::Firm, own),
+            (Footing::Firm, _) | (Footing::Found { .. }, Verdict::Tracked) => (Footing::Firm, own),
+            (Footing::Lost, Verdict::Tracked) if is_beyond_doubt => (Footing::Firm, own),
             (Footing::Lost, Verdict::Tracked) => {
                 let before = self.motion.clone();
                 (Footing::Found { before }, Verdict::Weak)
             }
             (Footing::Lost, _) => (Footing::Lost, Verdict::Lost),
-            (Footing::Found { .. }, Verdict::Tracked) => (Footing::Firm, own),
             (Footing::Found { before }, _) => {
                 self.motion = before;
                 (Footing::Lost, Verdict::Lost)

@@ -95,3 +95,91 @@ impl Evidence {
         Some(seen.likeness - seen.seen_through)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const LIMITS: Limits = Limits {
+        min_inlier_share: 0.5,
+        min_conditioning: 1e-4,
+    };
+
+    fn evidence(inlier_share: f64, likeness: f64, seen_through: f64) -> Evidence {
+        Evidence {
+            converged: true,
+            inliers: 5000,
+            inlier_share,
+            residual_m: 0.006,
+            conditioning: 0.01,
+            agreement: Some(Agreement {
+                points: 100,
+                share: 0.6,
+                likeness,
+                seen_through,
+            }),
+        }
+    }
+
+    /// Poses of recordings with known truth: share of inliers, likeness, share seen through.
+    #[test]
+    fn right_poses_of_recordings_are_trusted() {
+        // Fast turns, far walls with bad depth, much that is new.
+        for (inliers, likeness, through) in
+            [(0.78, 0.48, 0.0), (0.96, 0.95, 0.27), (0.31, 0.9, 0.0)]
+        {
+            let evidence = evidence(inliers, likeness, through);
+            assert_eq!(evidence.verdict(&LIMITS), Verdict::Tracked, "{evidence:?}");
+        }
+        assert!(!evidence(0.9, 0.9, 0.0).is_doubtful(&LIMITS));
+    }
+
+    #[test]
+    fn wrong_poses_of_recordings_are_not_trusted_and_others_are_looked_for() {
+        // Off by 14, 16, 23 and 12 cm, and a cut into another room.
+        for (inliers, likeness, through) in [
+            (0.81, 0.49, 0.17),
+            (0.70, 0.45, 0.17),
+            (0.63, 0.03, 0.17),
+            (0.71, 0.15, 0.25),
+            (0.38, 0.9, 0.3),
+        ] {
+            let evidence = evidence(inliers, likeness, through);
+            assert!(evidence.verdict(&LIMITS) < Verdict::Tracked, "{evidence:?}");
+            assert!(evidence.is_doubtful(&LIMITS));
+        }
+    }
+
+    #[test]
+    fn few_inliers_are_enough_only_where_the_keyframe_is_clearly_seen() {
+        assert_eq!(evidence(0.4, 0.9, 0.0).verdict(&LIMITS), Verdict::Tracked);
+        assert_eq!(evidence(0.4, 0.6, 0.0).verdict(&LIMITS), Verdict::Lost);
+        assert_eq!(evidence(0.2, 0.9, 0.0).verdict(&LIMITS), Verdict::Lost);
+        // A better pose is looked for all the same.
+        assert!(evidence(0.4, 0.9, 0.0).is_doubtful(&LIMITS));
+    }
+
+    #[test]
+    fn without_a_keyframe_to_compare_with_geometry_decides() {
+        let alone = |inlier_share| Evidence {
+            agreement: Some(Agreement {
+                points: 5,
+                ..Agreement::default()
+            }),
+            ..evidence(inlier_share, 0.0, 0.0)
+        };
+        assert_eq!(alone(0.6).verdict(&LIMITS), Verdict::Tracked);
+        assert_eq!(alone(0.4).verdict(&LIMITS), Verdict::Lost);
+        let unsettled = Evidence {
+            converged: false,
+            ..alone(0.9)
+        };
+        assert_eq!(unsettled.verdict(&LIMITS), Verdict::Lost);
+    }
+
+    #[test]
+    fn of_two_poses_the_one_with_more_behind_it_is_stronger() {
+        assert!(evidence(0.8, 0.9, 0.0).strength() > evidence(0.8, 0.6, 0.0).strength());
+        assert!(evidence(0.8, 0.6, 0.0).strength() > evidence(0.6, 0.6, 0.0).strength());
+    }
+}

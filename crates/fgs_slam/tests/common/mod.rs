@@ -67,6 +67,7 @@ pub fn go(frames: Frames, sequence: &Sequence, execution: Execution) -> SlamOutp
 pub fn statuses(output: &SlamOutput) -> String {
     let letter = |status| match status {
         FrameStatus::Tracked => 'T',
+        FrameStatus::Weak => 'W',
         FrameStatus::Lost => 'L',
         FrameStatus::Damaged => 'M',
         FrameStatus::Dropped => 'D',
