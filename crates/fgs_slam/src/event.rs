@@ -16,10 +16,10 @@ use crate::frame_result::FrameResult;
 #[derive(Clone, Debug)]
 #[non_exhaustive]
 pub enum SlamEvent {
-    /// A frame was tracked, lost, dropped or found damaged.
+    /// A frame was tracked, weak, lost, dropped or found damaged.
     Frame {
         /// What became of it.
-        result: FrameResult,
+        result: Box<FrameResult>,
         /// Why it is damaged, if it is.
         error: Option<String>,
         /// Gaussians in the map, as far as known.

@@ -398,7 +398,7 @@ impl Slam {
             Some((keyframe, world_from_keyframe.inverse() * world_from_camera))
         });
         self.events.publish(|| SlamEvent::Frame {
-            result: result.clone(),
+            result: Box::new(result.clone()),
             error,
             num_gaussians: self.map.num_gaussians(),
             steps: self.map.steps(),

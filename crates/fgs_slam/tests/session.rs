@@ -34,7 +34,7 @@ fn every_frame_is_an_event_and_names_its_keyframe() {
         let mut seen = Vec::new();
         for event in looker_on.events() {
             let (result, error) = match event {
-                SlamEvent::Frame { result, error, .. } => (result, error),
+                SlamEvent::Frame { result, error, .. } => (*result, error),
                 // A keyframe was aligned with the map.
                 SlamEvent::Correction(poses) => {
                     assert!(output.graph.pose(poses[0].0).is_some());
