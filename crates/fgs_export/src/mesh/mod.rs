@@ -1,0 +1,80 @@
+//! The map's surface as a triangle mesh: depth rendered at the keyframes' poses, fused in a volume of
+//! truncated signed distances (Curless and Levoy 1996), whose zero surface is extracted.
+
+mod depth;
+mod surface;
+mod vertex_colors;
+mod volume;
+
+use fgs_geom::View;
+use fgs_splat::{Gaussians, Rasterizer};
+
+use crate::ExportError;
+use depth::surface_depth;
+use vertex_colors::VertexColors;
+use volume::Volume;
+
+/// A triangle mesh. Its front, counter-clockwise, is the side that was seen.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Mesh {
+    /// Vertices, world of the run, metres, [N, 3].
+    pub positions: Vec<[f32; 3]>,
+    /// Unit vectors away from the surface's front, [N, 3].
+    pub normals: Vec<[f32; 3]>,
+    /// sRGB, 0 to 1, [N, 3].
+    pub colors: Vec<[f32; 3]>,
+    /// Indices of three vertices each.
+    pub triangles: Vec<[u32; 3]>,
+}
+
+/// The surface of a map as seen from `views`, with voxels of `voxel_m`. Gaussians at an inferred depth
+/// are left out. `on_view` is called twice for each view. Memory grows with the area of the surface
+/// (4 kB for each block of 8x8x8 voxels near it), whatever the number of views.
+///
+/// # Errors
+/// [`ExportError::NoKeyframes`] without views, [`ExportError::TooManyVoxels`] beyond 2 GB.
+pub fn mesh(
+    gaussians: &Gaussians,
+    views: &[View],
+    voxel_m: f64,
+    on_view: &mut dyn FnMut(),
+) -> Result<Mesh, ExportError> {
+    if views.is_empty() {
+        return Err(ExportError::NoKeyframes);
+    }
+    let mut measured = gaussians.clone();
+    let is_measured: Vec<bool> = gaussians
+        .inferred
+        .iter()
+        .map(|inferred| !inferred)
+        .collect();
+    measured.retain(&is_measured);
+
+    let mut rasterizer = Rasterizer::default();
+    let mut volume = Volume::new(voxel_m);
+    for view in views {
+        let pass = rasterizer.render(&measured, view);
+        let depth_m = surface_depth(pass.rendered(), volume.truncation_m());
+        volume.integrate(&depth_m, view)?;
+        on_view();
+    }
+    let mut mesh = volume.surface();
+    let max_distance_m = volume.truncation_m();
+    drop(volume);
+
+    let mut colors = VertexColors::new(mesh.positions.len());
+    for view in views {
+        let pass = rasterizer.render(&measured, view);
+        let depth_m = surface_depth(pass.rendered(), max_distance_m);
+        colors.add(
+            &mesh.positions,
+            &pass.rendered().color,
+            &depth_m,
+            view,
+            max_distance_m,
+        );
+        on_view();
+    }
+    mesh.colors = colors.mean();
+    Ok(mesh)
+}
