@@ -63,7 +63,7 @@ enum Format {
     CompressedPly,
     /// Gaussians: .splat of antimatter15's viewer
     Splat,
-    /// Gaussians: Niantic's SPZ, a sixth of the size
+    /// Gaussians: Niantic's SPZ, a quarter of the size
     Spz,
     /// Gaussians: binary glTF with `KHR_gaussian_splatting`
     Glb,

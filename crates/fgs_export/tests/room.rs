@@ -12,7 +12,7 @@ use fgs_splat::CpuModel;
 use fgs_synth::{SensorModel, Sequence, kinect_camera};
 use nalgebra::Vector3;
 
-const FRAMES: usize = 60;
+const FRAMES: usize = 24;
 const VOXEL_M: f64 = 0.02;
 
 /// The room's frames, and what the system made of them.
@@ -26,10 +26,10 @@ struct Session {
 
 impl Session {
     fn new() -> Self {
-        let camera = kinect_camera(160, 120).unwrap();
+        let camera = kinect_camera(320, 240).unwrap();
         let sequence = Sequence::new(3, FRAMES, camera, SensorModel::exact());
         let mut config = SlamConfig::default();
-        config.mapping.iterations_per_frame = 4.0;
+        config.mapping.iterations_per_frame = 2.0;
         let model = Box::new(CpuModel::new(model_settings(&config.mapping)));
         let mut slam = Slam::new(&camera, &config, Execution::Lockstep, model).unwrap();
         let frames: Vec<RgbdFrame> = sequence.frames().collect();
@@ -118,7 +118,7 @@ fn the_mesh_of_a_room_is_the_room() {
             .color
             .at(u, v)
             .map(|value| f64::from(value) / 255.0);
-        let errors = (0..3).map(|i| (color[i] - f64::from(mesh.colors[i])).abs());
+        let errors = (0..3).map(|axis| (color[axis] - f64::from(mesh.colors[i][axis])).abs());
         color_errors.push(errors.sum::<f64>() / 3.0);
     }
     let vertices = mesh.positions.len();
@@ -179,8 +179,8 @@ fn the_mesh_of_a_room_is_the_room() {
     let last = session.output.keyframes.last().unwrap().index.0;
     let frame = &session.frames[last];
     let (mut covered, mut all) = (0, 0);
-    for v in (0..120).step_by(3) {
-        for u in (0..160).step_by(3) {
+    for v in (0..240).step_by(3) {
+        for u in (0..320).step_by(3) {
             let depth_m = f64::from(frame.depth_m.at(u, v));
             let point = frame.camera.unproject(u as f64, v as f64, depth_m);
             let center = cell(session.poses[last].transform(&point));

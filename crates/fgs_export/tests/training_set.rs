@@ -25,6 +25,9 @@ const POINTS: [Point; 2] = [
     },
 ];
 
+const COLMAP: Write = |set, path, on_image| set.write_colmap(path, on_image);
+const NERFSTUDIO: Write = |set, path, on_image| set.write_nerfstudio(path, on_image);
+
 /// Written by `write` to a folder `set`: frames 0 and 2 of a recording whose depth is registered.
 struct Written {
     folder: TempDir,
@@ -112,7 +115,7 @@ fn numbers(columns: &[String]) -> Vec<f64> {
 
 #[test]
 fn colmap() {
-    let written = Written::new("", TrainingSet::write_colmap);
+    let written = Written::new("", COLMAP);
     let model = written.path("sparse/0");
     let cameras = lines(&model.join("cameras.txt"));
     assert_eq!(cameras.len(), 1);
@@ -143,7 +146,7 @@ fn colmap() {
 
 #[test]
 fn nerfstudio() {
-    let written = Written::new("", TrainingSet::write_nerfstudio);
+    let written = Written::new("", NERFSTUDIO);
     let text = fs::read_to_string(written.path("transforms.json")).unwrap();
     let json: Value = serde_json::from_str(&text).unwrap();
     let number = |key: &str| json[key].as_f64().unwrap();
@@ -174,10 +177,7 @@ fn nerfstudio() {
 #[test]
 fn pixels_that_the_camera_did_not_see_are_masked() {
     let distorted = "distortion = [0.3, 0.0, 0.0, 0.0, 0.0]\n";
-    for write in [
-        TrainingSet::write_colmap as Write,
-        TrainingSet::write_nerfstudio,
-    ] {
+    for write in [COLMAP, NERFSTUDIO] {
         let written = Written::new(distorted, write);
         let mask = image::open(written.path("masks/000002.png.png"))
             .unwrap()
@@ -191,7 +191,7 @@ fn pixels_that_the_camera_did_not_see_are_masked() {
         let seen: usize = seen.sum();
         assert!(seen > 1500 && seen < 64 * 48, "{seen}");
     }
-    let written = Written::new(distorted, TrainingSet::write_nerfstudio);
+    let written = Written::new(distorted, NERFSTUDIO);
     let text = fs::read_to_string(written.path("transforms.json")).unwrap();
     let json: Value = serde_json::from_str(&text).unwrap();
     assert_eq!(json["frames"][1]["mask_path"], "masks/000002.png.png");

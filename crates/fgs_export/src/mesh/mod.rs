@@ -10,7 +10,7 @@ use fgs_geom::View;
 use fgs_splat::{Gaussians, Rasterizer};
 
 use crate::ExportError;
-use depth::surface_depth;
+use depth::SurfaceImage;
 use vertex_colors::VertexColors;
 use volume::Volume;
 
@@ -52,27 +52,20 @@ pub fn mesh(
 
     let mut rasterizer = Rasterizer::default();
     let mut volume = Volume::new(voxel_m);
+    let truncation_m = volume.truncation_m();
     for view in views {
-        let pass = rasterizer.render(&measured, view);
-        let depth_m = surface_depth(pass.rendered(), volume.truncation_m());
-        volume.integrate(&depth_m, view)?;
+        let image = SurfaceImage::new(&mut rasterizer, &measured, view, truncation_m);
+        volume.integrate(&image.depth_m, view)?;
         on_view();
     }
     let mut mesh = volume.surface();
-    let max_distance_m = volume.truncation_m();
     drop(volume);
 
+    // The colours come afterwards, so that voxels need none.
     let mut colors = VertexColors::new(mesh.positions.len());
     for view in views {
-        let pass = rasterizer.render(&measured, view);
-        let depth_m = surface_depth(pass.rendered(), max_distance_m);
-        colors.add(
-            &mesh.positions,
-            &pass.rendered().color,
-            &depth_m,
-            view,
-            max_distance_m,
-        );
+        let image = SurfaceImage::new(&mut rasterizer, &measured, view, truncation_m);
+        colors.add(&mesh.positions, &image, view, truncation_m);
         on_view();
     }
     mesh.colors = colors.mean();

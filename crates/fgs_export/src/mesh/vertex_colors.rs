@@ -1,10 +1,10 @@
 //! The colours of a mesh's vertices: means over the renders in which they are visible.
 
-use fgs_geom::{Image, View};
+use fgs_geom::View;
 use nalgebra::Vector3;
 use rayon::prelude::*;
 
-use super::depth::depth_at;
+use super::depth::{SurfaceImage, depth_at};
 
 /// Of a vertex that no view shows.
 const GRAY: [f32; 3] = [0.5; 3];
@@ -26,8 +26,7 @@ impl VertexColors {
     pub(super) fn add(
         &mut self,
         positions: &[[f32; 3]],
-        color: &Image<[f32; 3]>,
-        depth_m: &Image<f32>,
+        image: &SurfaceImage,
         view: &View,
         max_distance_m: f32,
     ) {
@@ -38,14 +37,16 @@ impl VertexColors {
             let Some(pixel) = view.camera.project(&point) else {
                 return;
             };
-            let depth_m = depth_at(depth_m, pixel.x as f32, pixel.y as f32);
+            let depth_m = depth_at(&image.depth_m, pixel.x as f32, pixel.y as f32);
             let Some(depth_m) =
                 depth_m.filter(|depth_m| (depth_m - point.z as f32).abs() <= max_distance_m)
             else {
                 return;
             };
             // The pixel lies inside, since it has depth.
-            let color = color.at(pixel.x.round() as usize, pixel.y.round() as usize);
+            let color = image
+                .color
+                .at(pixel.x.round() as usize, pixel.y.round() as usize);
             let weight = 1.0 / (depth_m * depth_m);
             *sum += weight * Vector3::from(color);
             *weights += weight;
