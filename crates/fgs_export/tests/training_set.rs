@@ -176,23 +176,20 @@ fn nerfstudio() {
 /// The border that removing distortion leaves is masked, in both folders by the same file.
 #[test]
 fn pixels_that_the_camera_did_not_see_are_masked() {
-    let distorted = "distortion = [0.3, 0.0, 0.0, 0.0, 0.0]\n";
-    for write in [COLMAP, NERFSTUDIO] {
-        let written = Written::new(distorted, write);
-        let mask = image::open(written.path("masks/000002.png.png"))
-            .unwrap()
-            .into_luma8();
+    let [_, nerfstudio] = [COLMAP, NERFSTUDIO].map(|write| {
+        let written = Written::new("distortion = [0.3, 0.0, 0.0, 0.0, 0.0]\n", write);
+        let mask = image::open(written.path("masks/000002.png.png")).unwrap();
         let frame = written.dataset.frame(2).unwrap();
-        let seen = mask.enumerate_pixels().map(|(u, v, pixel)| {
-            let seen = frame.has_color(u as usize, v as usize);
-            assert_eq!(pixel.0, [if seen { 255 } else { 0 }]);
-            usize::from(seen)
-        });
-        let seen: usize = seen.sum();
+        let mut seen = 0;
+        for (u, v, pixel) in mask.into_luma8().enumerate_pixels() {
+            let has_color = frame.has_color(u as usize, v as usize);
+            assert_eq!(pixel.0, [if has_color { 255 } else { 0 }]);
+            seen += usize::from(has_color);
+        }
         assert!(seen > 1500 && seen < 64 * 48, "{seen}");
-    }
-    let written = Written::new(distorted, NERFSTUDIO);
-    let text = fs::read_to_string(written.path("transforms.json")).unwrap();
+        written
+    });
+    let text = fs::read_to_string(nerfstudio.path("transforms.json")).unwrap();
     let json: Value = serde_json::from_str(&text).unwrap();
     assert_eq!(json["frames"][1]["mask_path"], "masks/000002.png.png");
 }
