@@ -7,7 +7,6 @@ use serde_json::{Map, Value, json};
 /// Codes of glTF.
 const FLOAT: u32 = 5126;
 const UNSIGNED_INT: u32 = 5125;
-const UNSIGNED_SHORT: u32 = 5123;
 const ARRAY_BUFFER: u32 = 34962;
 const ELEMENT_ARRAY_BUFFER: u32 = 34963;
 
@@ -58,23 +57,6 @@ impl Glb {
         let accessor = json!({ "componentType": FLOAT, "count": count, "type": kind });
         let accessor = self.accessor(start, ARRAY_BUFFER, accessor);
         self.attributes.insert(name.into(), accessor);
-    }
-
-    /// Adds the vertices' colours: linear RGB and opacity, 0 to 1.
-    pub fn colors(&mut self, rows: impl Iterator<Item = [f32; 4]>) {
-        let start = self.buffer.len();
-        let mut count = 0;
-        for row in rows {
-            let shorts = row.map(|x| (65535.0 * x).round() as u16);
-            self.buffer
-                .extend(shorts.iter().flat_map(|x| x.to_le_bytes()));
-            count += 1;
-        }
-        let accessor = json!({
-            "componentType": UNSIGNED_SHORT, "normalized": true, "count": count, "type": "VEC4"
-        });
-        let accessor = self.accessor(start, ARRAY_BUFFER, accessor);
-        self.attributes.insert("COLOR_0".into(), accessor);
     }
 
     /// Adds the triangles' vertices; returns what a primitive calls `indices`.

@@ -89,10 +89,7 @@ pub fn write_mesh_glb(out: &mut impl Write, mesh: &Mesh) -> io::Result<()> {
     let mut glb = Glb::default();
     glb.positions(mesh.positions.iter().map(|position| y_up(*position)));
     glb.floats("NORMAL", mesh.normals.iter().map(|normal| y_up(*normal)));
-    glb.colors(mesh.colors.iter().map(|color| {
-        let [red, green, blue] = color.map(linear);
-        [red, green, blue, 1.0]
-    }));
+    glb.floats("COLOR_0", mesh.colors.iter().map(|color| color.map(linear)));
     let indices = glb.indices(&mesh.triangles);
     let primitive = json!({ "mode": TRIANGLES, "indices": indices, "material": 0 });
     let rest = json!({

@@ -45,10 +45,13 @@ pub fn write_splat_glb(out: &mut impl Write, gaussians: &Gaussians) -> io::Resul
         &format!("{EXTENSION}:SH_DEGREE_0_COEF_0"),
         gaussians.sh.iter().copied(),
     );
-    glb.colors(all.map(|i| {
-        let [red, green, blue] = gaussians.rgb(i).map(linear);
-        [red, green, blue, gaussians.opacity(i)]
-    }));
+    glb.floats(
+        "COLOR_0",
+        all.map(|i| {
+            let [red, green, blue] = gaussians.rgb(i).map(linear);
+            [red, green, blue, gaussians.opacity(i)]
+        }),
+    );
     let primitive = json!({
         "mode": POINTS,
         "extensions": {

@@ -109,12 +109,8 @@ def meshes(export):
     import trimesh
 
     for name in ["mesh.ply", "mesh.obj", "mesh.glb"]:
-        mesh = trimesh.load(export / name, force="mesh", process=False)
-        # Those of glTF are behind the material.
-        visual = mesh.visual
-        colors = getattr(visual, "vertex_colors", None)
-        colors = visual.vertex_attributes["color"] if colors is None else colors
-        color = np.asarray(colors)[:, :3].mean(0).round(3)
+        mesh = trimesh.load(export / name, force="mesh", process=False, skip_materials=True)
+        color = mesh.visual.vertex_colors[:, :3].mean(0).round(1)
         print(f"{name} by trimesh: {len(mesh.vertices)} vertices, {len(mesh.faces)} triangles, "
               f"bounds {mesh.bounds.round(2).tolist()}, mean colour {color.tolist()}")
 

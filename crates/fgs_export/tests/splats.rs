@@ -414,10 +414,6 @@ fn extreme_values() {
     let mut glb = Vec::new();
     write_splat_glb(&mut glb, &gaussians).unwrap();
     let (json, buffer) = glb_chunks(&glb);
-    let colors = json["bufferViews"][5]["byteOffset"].as_u64().unwrap() as usize;
-    assert!(
-        buffer[..colors]
-            .chunks(4)
-            .all(|bytes| float(bytes).is_finite())
-    );
+    assert_eq!(json["meshes"][0]["primitives"][0]["mode"], 0);
+    assert!(buffer.chunks(4).all(|bytes| float(bytes).is_finite()));
 }
