@@ -203,7 +203,7 @@ fn mesh(args: &ExportArgs, result: &RunResult, map: &Gaussians) -> anyhow::Resul
             world_from_camera: keyframe.world_from_camera,
         })
         .collect();
-    let bar = Console::People.progress(2 * views.len(), "mesh");
+    let bar = Console::People.progress(3 * views.len(), "mesh");
     let mesh = fgs_export::mesh(map, &views, args.voxel_m, &mut || bar.inc(1));
     bar.finish_and_clear();
     Ok(mesh?)

@@ -28,7 +28,7 @@ pub struct Mesh {
 }
 
 /// The surface of a map as seen from `views`, with voxels of `voxel_m`. Gaussians at an inferred depth
-/// are left out. `on_view` is called twice for each view. Memory grows with the area of the surface
+/// are left out. `on_view` is called three times for each view. Memory grows with the area of the surface
 /// (4 kB for each block of 8x8x8 voxels near it), whatever the number of views.
 ///
 /// # Errors
@@ -50,23 +50,25 @@ pub fn mesh(
         .collect();
     measured.retain(&is_measured);
 
-    let mut rasterizer = Rasterizer::default();
     let mut volume = Volume::new(voxel_m);
     let truncation_m = volume.truncation_m();
-    for view in views {
-        let image = SurfaceImage::new(&mut rasterizer, &measured, view, truncation_m);
-        volume.integrate(&image.depth_m, view)?;
+    let mut rasterizer = Rasterizer::default();
+    // Rendered anew each time: all images together would take memory with the number of views.
+    let mut image = |view| {
         on_view();
+        SurfaceImage::new(&mut rasterizer, &measured, view, truncation_m)
+    };
+    for view in views {
+        volume.allocate(&image(view).depth_m, view)?;
+    }
+    for view in views {
+        volume.integrate(&image(view).depth_m, view);
     }
     let mut mesh = volume.surface();
     drop(volume);
-
-    // The colours come afterwards, so that voxels need none.
     let mut colors = VertexColors::new(mesh.positions.len());
     for view in views {
-        let image = SurfaceImage::new(&mut rasterizer, &measured, view, truncation_m);
-        colors.add(&mesh.positions, &image, view, truncation_m);
-        on_view();
+        colors.add(&mesh.positions, &image(view), view, truncation_m);
     }
     mesh.colors = colors.mean();
     Ok(mesh)

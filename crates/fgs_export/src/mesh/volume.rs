@@ -60,8 +60,13 @@ impl Volume {
         (TRUNCATION_VOXELS * self.voxel_m) as f32
     }
 
-    /// Adds what a view shows. `depth_m` is of the camera's size; 0 where there is no surface.
-    pub(super) fn integrate(
+    /// Makes the blocks near the surfaces that a view shows. All views come here before the first is
+    /// integrated: a block that missed some would not fit its neighbours. `depth_m` is of the camera's
+    /// size; 0 where there is no surface.
+    ///
+    /// # Errors
+    /// [`ExportError::TooManyVoxels`].
+    pub(super) fn allocate(
         &mut self,
         depth_m: &Image<f32>,
         view: &View,
@@ -75,11 +80,15 @@ impl Volume {
                 .entry(cell)
                 .or_insert_with(|| Box::new([Voxel::default(); SIDE * SIDE * SIDE]));
         }
+        Ok(())
+    }
+
+    /// Adds what a view shows to the blocks that there are.
+    pub(super) fn integrate(&mut self, depth_m: &Image<f32>, view: &View) {
         let update = Update::new(depth_m, view, self.voxel_m, self.truncation_m());
         self.blocks
             .par_iter_mut()
             .for_each(|(cell, block)| update.apply(*cell, block));
-        Ok(())
     }
 
     /// The blocks within the truncation distance of a pixel's surface point, along its ray.
@@ -226,7 +235,9 @@ mod tests {
     fn a_plane_comes_back_and_ends_where_nothing_was_seen() {
         let view = view();
         let mut volume = Volume::new(0.02);
-        volume.integrate(&plane(&view, true), &view).unwrap();
+        let plane = plane(&view, true);
+        volume.allocate(&plane, &view).unwrap();
+        volume.integrate(&plane, &view);
         let mesh = volume.surface();
         assert!(mesh.triangles.len() > 5000, "{}", mesh.triangles.len());
         for position in &mesh.positions {
@@ -246,12 +257,15 @@ mod tests {
         let view = view();
         let mut volume = Volume::new(0.02);
         let wall = plane(&view, false);
-        volume
-            .integrate(&wall.map(|depth_m| 0.5 * depth_m), &view)
-            .unwrap();
-        for _ in 0..20 {
-            volume.integrate(&wall, &view).unwrap();
+        let ghost = wall.map(|depth_m| 0.5 * depth_m);
+        for depth_m in [&ghost, &wall] {
+            volume.allocate(depth_m, &view).unwrap();
         }
+        volume.integrate(&ghost, &view);
+        for _ in 0..20 {
+            volume.integrate(&wall, &view);
+        }
+        assert!(!volume.surface().triangles.is_empty());
         for position in volume.surface().positions {
             let position = Vector3::from(position).cast();
             let point = view.world_from_camera.inverse().transform(&position);
@@ -264,7 +278,7 @@ mod tests {
         let view = view();
         let mut volume = Volume::new(0.02);
         volume.max_blocks = 50;
-        let refused = volume.integrate(&plane(&view, false), &view).unwrap_err();
+        let refused = volume.allocate(&plane(&view, false), &view).unwrap_err();
         assert!(matches!(refused, ExportError::TooManyVoxels { .. }));
         assert!(volume.blocks.len() <= 50);
     }
