@@ -2,21 +2,25 @@
 
 use std::fs::{self, File};
 use std::io::{self, BufWriter};
+use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicBool, Ordering};
 
 use anyhow::Context;
 use clap::{Args, ValueEnum};
 use fgs_export::{
-    ExportError, Keyframe, Mesh, TrainingSet, surface_points, write_compressed_ply, write_kitti,
-    write_mesh_glb, write_mesh_obj, write_mesh_ply, write_points, write_splat, write_splat_glb,
-    write_splat_ply, write_spz,
+    ExportError, Keyframe, Mesh, TrainingSet, surface_mesh, surface_points, write_compressed_ply,
+    write_kitti, write_mesh_glb, write_mesh_obj, write_mesh_ply, write_points, write_splat,
+    write_splat_glb, write_splat_ply, write_spz,
 };
 use fgs_geom::View;
 use fgs_run::{CONFIG, FinishedRun, FrameRow, RunFolder, RunResult, Settings};
 use fgs_splat::Gaussians;
+use indicatif::ProgressBar;
 
 use crate::console::Console;
-use crate::failure::{EXIT_DONE, UsageError, explain};
+use crate::failure::{EXIT_DONE, EXIT_INTERRUPTED, UsageError, explain};
+use crate::interrupt;
 use crate::threads::Threads;
 
 const OF_RUN: &str = "x right, y down, z forward from the first camera";
@@ -129,7 +133,13 @@ pub fn run(args: &ExportArgs) -> anyhow::Result<u8> {
     let out = out_path(args, &folder)?;
     let result = RunResult::read(&folder)?;
     args.threads.apply()?;
-    let what = write(args, &result, &out)?;
+    let stop = interrupt::stop_flag()?;
+    let what = match write(args, &result, &out, &stop) {
+        Err(error) if matches!(error.downcast_ref(), Some(ExportError::Stopped)) => {
+            return Ok(EXIT_INTERRUPTED);
+        }
+        written => written?,
+    };
     Console::People.say(format!(
         "{}: {what}\naxes: {}; metres",
         out.display(),
@@ -154,7 +164,12 @@ fn out_path(args: &ExportArgs, folder: &RunFolder) -> anyhow::Result<PathBuf> {
 }
 
 /// Writes the export; returns what it holds, in words.
-fn write(args: &ExportArgs, result: &RunResult, out: &Path) -> anyhow::Result<String> {
+fn write(
+    args: &ExportArgs,
+    result: &RunResult,
+    out: &Path,
+    stop: &AtomicBool,
+) -> anyhow::Result<String> {
     let map = result.refined.as_ref().unwrap_or(&result.gaussians);
     let trajectory = &result.trajectory;
     match args.to {
@@ -172,7 +187,7 @@ fn write(args: &ExportArgs, result: &RunResult, out: &Path) -> anyhow::Result<St
             return Ok(format!("{} points", points.len()));
         }
         Format::MeshPly | Format::MeshObj | Format::MeshGlb => {
-            let mesh = mesh(args, result, map)?;
+            let mesh = mesh(args, result, map, stop)?;
             write_file(out, |file| match args.to {
                 Format::MeshPly => write_mesh_ply(file, &mesh),
                 Format::MeshObj => write_mesh_obj(file, &mesh),
@@ -181,7 +196,9 @@ fn write(args: &ExportArgs, result: &RunResult, out: &Path) -> anyhow::Result<St
             let (vertices, triangles) = (mesh.positions.len(), mesh.triangles.len());
             return Ok(format!("{vertices} vertices, {triangles} triangles"));
         }
-        Format::Colmap | Format::Nerfstudio => return write_training_set(args, result, map, out),
+        Format::Colmap | Format::Nerfstudio => {
+            return write_training_set(args, result, map, out, stop);
+        }
     }
     Ok(match args.to {
         Format::Tum | Format::Kitti => format!(
@@ -193,7 +210,12 @@ fn write(args: &ExportArgs, result: &RunResult, out: &Path) -> anyhow::Result<St
     })
 }
 
-fn mesh(args: &ExportArgs, result: &RunResult, map: &Gaussians) -> anyhow::Result<Mesh> {
+fn mesh(
+    args: &ExportArgs,
+    result: &RunResult,
+    map: &Gaussians,
+    stop: &AtomicBool,
+) -> anyhow::Result<Mesh> {
     let settings = Settings::read(&args.run.join(CONFIG))?;
     let camera = *settings.camera.context("the run names no camera")?.camera();
     let views: Vec<View> = keyframes(result)
@@ -204,7 +226,7 @@ fn mesh(args: &ExportArgs, result: &RunResult, map: &Gaussians) -> anyhow::Resul
         })
         .collect();
     let bar = Console::People.progress(3 * views.len(), "mesh");
-    let mesh = fgs_export::mesh(map, &views, args.voxel_m, &mut || bar.inc(1));
+    let mesh = surface_mesh(map, &views, args.voxel_m, &mut || advance(&bar, stop));
     bar.finish_and_clear();
     Ok(mesh?)
 }
@@ -215,6 +237,7 @@ fn write_training_set(
     result: &RunResult,
     map: &Gaussians,
     out: &Path,
+    stop: &AtomicBool,
 ) -> anyhow::Result<String> {
     let finished = FinishedRun::open(&args.run, args.dataset.as_deref()).map_err(explain)?;
     let (keyframes, points) = (keyframes(result), surface_points(map));
@@ -225,7 +248,7 @@ fn write_training_set(
         points: &points,
     };
     let bar = Console::People.progress(keyframes.len(), "images");
-    let mut on_image = || bar.inc(1);
+    let mut on_image = || advance(&bar, stop);
     let written = match args.to {
         Format::Colmap => set.write_colmap(out, &mut on_image),
         _ => set.write_nerfstudio(out, &mut on_image),
@@ -237,6 +260,16 @@ fn write_training_set(
         keyframes.len(),
         points.len()
     ))
+}
+
+/// One step further, if nobody has asked to stop.
+fn advance(bar: &ProgressBar, stop: &AtomicBool) -> ControlFlow<()> {
+    bar.inc(1);
+    if stop.load(Ordering::Relaxed) {
+        ControlFlow::Break(())
+    } else {
+        ControlFlow::Continue(())
+    }
 }
 
 /// The keyframes that have a pose.

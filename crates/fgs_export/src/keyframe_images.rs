@@ -2,6 +2,7 @@
 
 use std::fs;
 use std::io::{self, Write};
+use std::ops::ControlFlow;
 use std::path::Path;
 
 use fgs_data::{Dataset, Trajectory};
@@ -10,6 +11,7 @@ use image::codecs::png::PngEncoder;
 use image::{ExtendedColorType, ImageEncoder, ImageError};
 
 use crate::ExportError;
+use crate::error::go_on;
 
 /// A keyframe of a run.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -39,7 +41,7 @@ pub(crate) fn write_keyframe_images(
     keyframes: &[Keyframe],
     dataset: &Dataset,
     trajectory: &Trajectory,
-    on_image: &mut dyn FnMut(),
+    on_image: &mut dyn FnMut() -> ControlFlow<()>,
 ) -> Result<Vec<KeyframeFiles>, ExportError> {
     keyframes
         .iter()
@@ -57,7 +59,7 @@ pub(crate) fn write_keyframe_images(
                 }
                 _ => None,
             };
-            on_image();
+            go_on(on_image())?;
             Ok(KeyframeFiles {
                 image,
                 mask,

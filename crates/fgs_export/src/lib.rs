@@ -7,7 +7,7 @@
 //! |---|---|
 //! | gaussians | [`write_splat_ply`], [`write_splat`], [`write_spz`], [`write_compressed_ply`], [`write_splat_glb`] |
 //! | points | [`write_points`] of [`surface_points`] |
-//! | mesh | [`write_mesh_ply`], [`write_mesh_obj`], [`write_mesh_glb`] of [`mesh()`] |
+//! | mesh | [`write_mesh_ply`], [`write_mesh_obj`], [`write_mesh_glb`] of [`surface_mesh`] |
 //! | trajectory | [`write_kitti`]; TUM's format is [`fgs_data::Trajectory::write`] |
 //! | photographs with poses | [`TrainingSet::write_colmap`], [`TrainingSet::write_nerfstudio`] |
 
@@ -33,7 +33,7 @@ pub use compressed_ply::write_compressed_ply;
 pub use error::ExportError;
 pub use keyframe_images::Keyframe;
 pub use kitti::write_kitti;
-pub use mesh::{Mesh, mesh};
+pub use mesh::{Mesh, surface_mesh};
 pub use mesh_files::{write_mesh_glb, write_mesh_obj, write_mesh_ply};
 pub use points::{Point, surface_points, write_points};
 pub use splat::write_splat;

@@ -1,12 +1,13 @@
 //! What other programs that reconstruct from photographs start from: folders with the keyframes'
 //! images, cameras and poses, and points to begin with.
 
+use std::io;
+use std::ops::ControlFlow;
 use std::path::Path;
 
 use fgs_data::{Dataset, Trajectory};
 use fgs_files::NewFolder;
 use fgs_geom::Camera;
-use std::io;
 
 use crate::keyframe_images::{KeyframeFiles, write_in, write_keyframe_images};
 use crate::{ExportError, Keyframe, Point, colmap, nerfstudio};
@@ -27,11 +28,16 @@ pub struct TrainingSet<'a> {
 impl TrainingSet<'_> {
     /// Writes a COLMAP model: `images/` and `sparse/0/{cameras,images,points3D}.txt`. One camera,
     /// PINHOLE; poses are `camera_from_world`; camera and world have the run's axes, y down, metres.
-    /// Points have no tracks. `on_image` is called after each image.
+    /// Points have no tracks. `on_image` is called after each image
+    /// and may stop the export.
     ///
     /// # Errors
-    /// If there is something at `path`, an image cannot be read, or writing fails.
-    pub fn write_colmap(&self, path: &Path, on_image: &mut dyn FnMut()) -> Result<(), ExportError> {
+    /// If there is something at `path`, an image cannot be read, writing fails, or it was stopped.
+    pub fn write_colmap(
+        &self,
+        path: &Path,
+        on_image: &mut dyn FnMut() -> ControlFlow<()>,
+    ) -> Result<(), ExportError> {
         self.write(path, on_image, |folder, files, camera| {
             write_in(folder, "sparse/0/cameras.txt", |file| {
                 colmap::write_cameras(file, camera)
@@ -47,14 +53,15 @@ impl TrainingSet<'_> {
 
     /// Writes a data set for nerfstudio: `images/`, `points.ply` and `transforms.json`. Poses are
     /// `world_from_camera` with the camera's axes as nerfstudio wants them, x right, y up, z backward;
-    /// the world keeps the run's axes, y down, metres. `on_image` is called after each image.
+    /// the world keeps the run's axes, y down, metres. `on_image` is called after each image
+    /// and may stop the export.
     ///
     /// # Errors
-    /// If there is something at `path`, an image cannot be read, or writing fails.
+    /// If there is something at `path`, an image cannot be read, writing fails, or it was stopped.
     pub fn write_nerfstudio(
         &self,
         path: &Path,
-        on_image: &mut dyn FnMut(),
+        on_image: &mut dyn FnMut() -> ControlFlow<()>,
     ) -> Result<(), ExportError> {
         self.write(path, on_image, |folder, files, camera| {
             write_in(folder, nerfstudio::POINTS, |mut file| {
@@ -70,7 +77,7 @@ impl TrainingSet<'_> {
     fn write(
         &self,
         path: &Path,
-        on_image: &mut dyn FnMut(),
+        on_image: &mut dyn FnMut() -> ControlFlow<()>,
         describe: impl FnOnce(&Path, &[KeyframeFiles], &Camera) -> Result<(), ExportError>,
     ) -> Result<(), ExportError> {
         if self.keyframes.is_empty() {

@@ -4,8 +4,9 @@
 #![allow(clippy::unwrap_used, reason = "a test may panic, its helpers too")]
 
 use std::collections::HashSet;
+use std::ops::ControlFlow;
 
-use fgs_export::{ExportError, Mesh, mesh};
+use fgs_export::{ExportError, Mesh, surface_mesh};
 use fgs_geom::{RgbdFrame, Se3, View};
 use fgs_slam::{Execution, Slam, SlamConfig, SlamOutput, model_settings};
 use fgs_splat::CpuModel;
@@ -57,7 +58,12 @@ impl Session {
             .build()
             .unwrap();
         let gaussians = &self.output.gaussians;
-        pool.install(|| mesh(gaussians, &self.views, VOXEL_M, &mut || ()).unwrap())
+        pool.install(|| {
+            surface_mesh(gaussians, &self.views, VOXEL_M, &mut || {
+                ControlFlow::Continue(())
+            })
+            .unwrap()
+        })
     }
 
     /// Distance of a point to the true surface where frame i shows it, along its normal, metres, and
@@ -196,6 +202,9 @@ fn the_mesh_of_a_room_is_the_room() {
 
 #[test]
 fn a_run_without_keyframes_is_refused() {
-    let none = mesh(&Default::default(), &[], VOXEL_M, &mut || ()).unwrap_err();
+    let none = surface_mesh(&Default::default(), &[], VOXEL_M, &mut || {
+        ControlFlow::Continue(())
+    })
+    .unwrap_err();
     assert!(matches!(none, ExportError::NoKeyframes));
 }

@@ -35,7 +35,8 @@ struct Written {
     keyframes: Vec<Keyframe>,
 }
 
-type Write = fn(&TrainingSet, &Path, &mut dyn FnMut()) -> Result<(), ExportError>;
+type Write =
+    fn(&TrainingSet, &Path, &mut dyn FnMut() -> ControlFlow<()>) -> Result<(), ExportError>;
 
 impl Written {
     /// `camera_toml` is added to the recording's camera file.
@@ -62,11 +63,19 @@ impl Written {
             keyframes: &keyframes,
             points: &POINTS,
         };
+        let path = folder.path().join("set");
+        let stopped = write(&set, &path, &mut || ControlFlow::Break(())).unwrap_err();
+        assert!(matches!(stopped, ExportError::Stopped), "{stopped}");
+        assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1, "only room");
         let mut images = 0;
-        write(&set, &folder.path().join("set"), &mut || images += 1).unwrap();
-        assert_eq!(images, 2);
-        let exists = write(&set, &folder.path().join("set"), &mut || ()).unwrap_err();
+        let mut count = || {
+            images += 1;
+            ControlFlow::Continue(())
+        };
+        write(&set, &path, &mut count).unwrap();
+        let exists = write(&set, &path, &mut count).unwrap_err();
         assert!(matches!(exists, ExportError::Exists { .. }), "{exists}");
+        assert_eq!(images, 2);
         Self {
             folder,
             dataset,

@@ -6,10 +6,13 @@ mod surface;
 mod vertex_colors;
 mod volume;
 
+use std::ops::ControlFlow;
+
 use fgs_geom::View;
 use fgs_splat::{Gaussians, Rasterizer};
 
 use crate::ExportError;
+use crate::error::go_on;
 use depth::SurfaceImage;
 use vertex_colors::VertexColors;
 use volume::Volume;
@@ -28,16 +31,17 @@ pub struct Mesh {
 }
 
 /// The surface of a map as seen from `views`, with voxels of `voxel_m`. Gaussians at an inferred depth
-/// are left out. `on_view` is called three times for each view. Memory grows with the area of the surface
+/// are left out. `on_view` is called three times for each view and may stop the work. Memory grows with the area of the surface
 /// (4 kB for each block of 8x8x8 voxels near it), whatever the number of views.
 ///
 /// # Errors
-/// [`ExportError::NoKeyframes`] without views, [`ExportError::TooManyVoxels`] beyond 2 GB.
-pub fn mesh(
+/// [`ExportError::NoKeyframes`] without views, [`ExportError::TooManyVoxels`] beyond 2 GB,
+/// [`ExportError::Stopped`].
+pub fn surface_mesh(
     gaussians: &Gaussians,
     views: &[View],
     voxel_m: f64,
-    on_view: &mut dyn FnMut(),
+    on_view: &mut dyn FnMut() -> ControlFlow<()>,
 ) -> Result<Mesh, ExportError> {
     if views.is_empty() {
         return Err(ExportError::NoKeyframes);
@@ -55,20 +59,20 @@ pub fn mesh(
     let mut rasterizer = Rasterizer::default();
     // Rendered anew each time: all images together would take memory with the number of views.
     let mut image = |view| {
-        on_view();
-        SurfaceImage::new(&mut rasterizer, &measured, view, truncation_m)
+        let image = SurfaceImage::new(&mut rasterizer, &measured, view, truncation_m);
+        go_on(on_view()).map(|()| image)
     };
     for view in views {
-        volume.allocate(&image(view).depth_m, view)?;
+        volume.allocate(&image(view)?.depth_m, view)?;
     }
     for view in views {
-        volume.integrate(&image(view).depth_m, view);
+        volume.integrate(&image(view)?.depth_m, view);
     }
     let mut mesh = volume.surface();
     drop(volume);
     let mut colors = VertexColors::new(mesh.positions.len());
     for view in views {
-        colors.add(&mesh.positions, &image(view), view, truncation_m);
+        colors.add(&mesh.positions, &image(view)?, view, truncation_m);
     }
     mesh.colors = colors.mean();
     Ok(mesh)
