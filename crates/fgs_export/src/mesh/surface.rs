@@ -1,8 +1,9 @@
 //! The zero surface of a volume by naive surface nets, block by block.
 //!
 //! Each cell of 2x2x2 voxels that the surface crosses has one vertex. Neighbouring blocks share cells,
-//! whose vertices are merged. Where a cell has a voxel that no view has seen there is no surface but
-//! the end of what is known: triangles with such a vertex are left out.
+//! whose vertices are merged. There is no surface, but the end of what is known, where a cell has a
+//! voxel that no view has seen, and where distances jump: behind a surface begins what other views have
+//! seen past its edge. Triangles with a vertex in such a cell are left out.
 
 use std::collections::HashMap;
 
@@ -17,6 +18,9 @@ use super::volume::{Cell, SIDE, Volume, Voxel};
 /// A block with one voxel more on each side: so that neighbours' triangles meet.
 const PADDED: u32 = SIDE as u32 + 2;
 type Padded = ConstShape3u32<PADDED, PADDED, PADDED>;
+
+/// Across a surface, distances in a cell differ by less, unless it is seen at a grazing angle only.
+const MAX_JUMP: f32 = 1.5;
 
 /// What a block contributes.
 #[derive(Default)]
@@ -69,18 +73,24 @@ impl Volume {
         });
         surface_nets(&distances, &Padded {}, [0; 3], [PADDED - 1; 3], buffer);
 
-        let is_seen = |vertex: u32| {
+        let is_known = |vertex: u32| {
             let [x, y, z] = buffer.surface_points[vertex as usize];
-            (0..8).all(|corner| {
+            let (mut min, mut max) = (f32::INFINITY, f32::NEG_INFINITY);
+            for corner in 0..8 {
                 let corner = [x + (corner & 1), y + (corner >> 1 & 1), z + (corner >> 2)];
-                voxels[Padded::linearize(corner) as usize].weight > 0.0
-            })
+                let voxel = voxels[Padded::linearize(corner) as usize];
+                if voxel.weight == 0.0 {
+                    return false;
+                }
+                (min, max) = (min.min(voxel.distance), max.max(voxel.distance));
+            }
+            max - min <= MAX_JUMP
         };
         let first = block.map(|i| SIDE as i32 * i - 1);
         let mut patch = Patch::default();
         let mut places = HashMap::new();
         let triangles = buffer.indices.as_chunks::<3>().0.iter();
-        for triangle in triangles.filter(|triangle| triangle.iter().all(|i| is_seen(*i))) {
+        for triangle in triangles.filter(|triangle| triangle.iter().all(|i| is_known(*i))) {
             patch.triangles.push(triangle.map(|vertex| {
                 *places.entry(vertex).or_insert_with(|| {
                     let vertex = vertex as usize;

@@ -65,3 +65,48 @@ impl VertexColors {
         self.sums.iter().map(mean).collect()
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use fgs_geom::{Camera, Image, Intrinsics, Se3};
+
+    use super::*;
+
+    #[test]
+    fn vertices_take_the_colors_of_the_views_that_show_them() {
+        let intrinsics = Intrinsics {
+            fx: 40.0,
+            fy: 40.0,
+            cx: 19.5,
+            cy: 14.5,
+        };
+        let view = View {
+            camera: Camera::new(40, 30, intrinsics).unwrap(),
+            world_from_camera: Se3::identity(),
+        };
+        let positions = [
+            [0.1, 0.0, 1.0],
+            [0.2, 0.0, 2.0],
+            [0.0, 0.0, -1.0],
+            [3.0, 0.0, 1.0],
+        ];
+        let mut colors = VertexColors::new(positions.len());
+        // Near red, behind it blue, which is seen once the red is gone.
+        let seen = [
+            (1.0, [1.0, 0.0, 0.0]),
+            (2.0, [0.0, 0.0, 1.5]),
+            (1.0, [0.5, 0.0, 0.0]),
+        ];
+        for (depth_m, color) in seen {
+            let image = SurfaceImage {
+                color: Image::filled(40, 30, color),
+                depth_m: Image::filled(40, 30, depth_m),
+            };
+            colors.add(&positions, &image, &view, 0.05);
+        }
+        assert_eq!(
+            colors.mean(),
+            [[0.75, 0.0, 0.0], [0.0, 0.0, 1.0], GRAY, GRAY]
+        );
+    }
+}

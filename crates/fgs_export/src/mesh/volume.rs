@@ -205,6 +205,7 @@ impl<'a> Update<'a> {
 #[cfg(test)]
 mod tests {
     use fgs_geom::{Camera, Se3};
+    use nalgebra::Vector2;
 
     use super::*;
 
@@ -239,7 +240,7 @@ mod tests {
         volume.allocate(&plane, &view).unwrap();
         volume.integrate(&plane, &view);
         let mesh = volume.surface();
-        assert!(mesh.triangles.len() > 5000, "{}", mesh.triangles.len());
+        let mut pixels = Vec::new();
         for position in &mesh.positions {
             let position = Vector3::from(*position).cast();
             let point = view.world_from_camera.inverse().transform(&position);
@@ -249,6 +250,38 @@ mod tests {
             let pixel = view.camera.project(&point).unwrap();
             let in_hole = (pixel.x - 39.5).abs() < 9.0 && (pixel.y - 29.5).abs() < 9.0;
             assert!(!in_hole, "{pixel}");
+            pixels.push(pixel);
+        }
+        // All the rest is there, up to the image's border.
+        for v in (0..60).step_by(3) {
+            for u in (0..80)
+                .step_by(3)
+                .filter(|u| !(27..54).contains(u) || !(17..44).contains(&v))
+            {
+                let pixel = Vector2::new(f64::from(u), f64::from(v));
+                let is_near = pixels.iter().any(|other| (other - pixel).norm() < 3.0);
+                assert!(is_near, "{pixel}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_stray_view_counts_no_more_than_another() {
+        let view = view();
+        let mut volume = Volume::new(0.02);
+        let plane = plane(&view, false);
+        volume.allocate(&plane, &view).unwrap();
+        for _ in 0..9 {
+            volume.integrate(&plane, &view);
+        }
+        volume.integrate(&plane.map(|depth_m| 2.0 * depth_m), &view);
+        let surface = volume.surface();
+        assert!(!surface.triangles.is_empty());
+        for position in surface.positions {
+            let position = Vector3::from(position).cast();
+            let point = view.world_from_camera.inverse().transform(&position);
+            let distance_m = (Vector3::new(0.3, -0.2, 1.0).dot(&point) - 1.5).abs();
+            assert!(distance_m <= 0.005, "{distance_m}");
         }
     }
 
