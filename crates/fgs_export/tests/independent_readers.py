@@ -2,7 +2,7 @@
 
     for f in ply compressed-ply splat spz glb points mesh-ply mesh-obj mesh-glb tum kitti colmap nerfstudio
     do fgs export RUN --to $f; done
-    pip install numpy plyfile trimesh pygltflib pycolmap open3d evo
+    pip install numpy scipy pillow plyfile trimesh pygltflib pycolmap open3d evo
     npm install @playcanvas/splat-transform
     python independent_readers.py RUN node_modules/.bin/splat-transform
 
@@ -17,6 +17,7 @@ from pathlib import Path
 
 import numpy as np
 from plyfile import PlyData
+from scipy.spatial import cKDTree
 
 SH0 = 0.28209479177387814
 
@@ -51,9 +52,7 @@ def covariances(g):
 
 
 def compare(name, read, expected):
-    """Both in any order: matched by position, nearest first."""
-    from scipy.spatial import cKDTree
-
+    """Both in any order: matched by position."""
     count = len(expected["mean"])
     assert len(read["mean"]) == count, f"{name}: {len(read['mean'])} of {count}"
     distance, match = cKDTree(expected["mean"]).query(read["mean"])
@@ -109,7 +108,8 @@ def meshes(export):
     import trimesh
 
     for name in ["mesh.ply", "mesh.obj", "mesh.glb"]:
-        mesh = trimesh.load(export / name, force="mesh", process=False, skip_materials=True)
+        options = {"process": False, "skip_materials": True}
+        mesh = trimesh.load(export / name, force="mesh", **options)
         color = mesh.visual.vertex_colors[:, :3].mean(0).round(1)
         print(f"{name} by trimesh: {len(mesh.vertices)} vertices, {len(mesh.faces)} triangles, "
               f"bounds {mesh.bounds.round(2).tolist()}, mean colour {color.tolist()}")
@@ -140,7 +140,7 @@ def colmap(export, expected):
     xyz = np.array([p.xyz for p in points])
     rgb = np.array([p.color for p in points])
     image = list(model.images.values())[len(model.images) // 2]
-    pose = image.cam_from_world() if callable(image.cam_from_world) else image.cam_from_world
+    pose = image.cam_from_world()
     camera_points = xyz @ pose.rotation.matrix().T + pose.translation
     fx, fy, cx, cy = camera.params
     x, y, z = camera_points.T
@@ -152,7 +152,8 @@ def colmap(export, expected):
     front[inside] = z[inside] <= nearest[v[inside], u[inside]] + 0.02
     pixels = np.array(Image.open(export / "colmap" / "images" / image.name)).astype(float)
     error = np.abs(pixels[v[front], u[front]] - rgb[front]).mean(1)
-    print(f"colmap: {front.sum()} points in {image.name}, median colour error {np.median(error):.1f} of 255")
+    print(f"colmap: {front.sum()} points in {image.name}, "
+          f"median colour error {np.median(error):.1f} of 255")
 
 
 def nerfstudio(export):
@@ -165,7 +166,7 @@ def nerfstudio(export):
     worst = 0
     for frame in transforms["frames"]:
         image = images[Path(frame["file_path"]).name]
-        pose = image.cam_from_world() if callable(image.cam_from_world) else image.cam_from_world
+        pose = image.cam_from_world()
         matrix = np.array(frame["transform_matrix"]) @ np.diag([1, -1, -1, 1])
         worst = max(worst, np.abs(np.linalg.inv(matrix)[:3] - pose.matrix()).max())
     print(f"nerfstudio: {len(transforms['frames'])} frames, poses as COLMAP's to {worst:.1g}")
