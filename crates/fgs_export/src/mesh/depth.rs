@@ -1,9 +1,9 @@
 //! The depth image of a map's surface.
 //!
-//! Rendered depth is too near, by several millimetres in an optimised map: optimisation leaves disks
-//! tilted and their centres scattered about the surface, and what stands in front is blended first. The
-//! centres as such are not biased, so the rendered depth is shifted, region by region, to where they
-//! are on average.
+//! Rendered depth is too near, by several millimetres in an optimised map, because optimisation leaves
+//! disks tilted: in a synthetic room by 36 degrees in the median, and 9 mm become 0.5 mm once the disks
+//! are turned into the true surface. Their centres are right on average, so the rendered depth is
+//! shifted, region by region, to where these are.
 
 use fgs_geom::{Image, View};
 use fgs_splat::{Gaussians, Rasterizer, Rendered};
