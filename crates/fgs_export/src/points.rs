@@ -5,10 +5,7 @@ use std::io::{self, Write};
 use fgs_splat::Gaussians;
 
 use crate::ply::{Element, write_floats, write_header};
-use crate::quantities::byte;
-
-/// Fainter gaussians correct colours rather than lie on a surface.
-const MIN_OPACITY: f32 = 0.5;
+use crate::quantities::{byte, is_surface};
 
 const PROPERTIES: [(&str, &str); 6] = [
     ("float", "x"),
@@ -31,7 +28,7 @@ pub struct Point {
 /// The centres of the gaussians that are opaque (at least one half) and stand where depth was measured,
 /// not inferred.
 pub fn surface_points(gaussians: &Gaussians) -> Vec<Point> {
-    let is_surface = |i: &usize| !gaussians.inferred[*i] && gaussians.opacity(*i) >= MIN_OPACITY;
+    let is_surface = |i: &usize| is_surface(gaussians, *i);
     let point = |i: usize| Point {
         position: gaussians.means[i],
         color: gaussians.rgb(i).map(byte),

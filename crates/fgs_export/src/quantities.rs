@@ -2,6 +2,14 @@
 
 use fgs_splat::Gaussians;
 
+/// Fainter gaussians correct colours rather than lie on a surface.
+const MIN_OPACITY: f32 = 0.5;
+
+/// Whether gaussian i lies on a measured surface: it is opaque, and its depth was not inferred.
+pub(crate) fn is_surface(gaussians: &Gaussians, i: usize) -> bool {
+    !gaussians.inferred[i] && gaussians.opacity(i) >= MIN_OPACITY
+}
+
 /// From the run's axes (x right, y down, z forward) to x right, y up, z backward, as in OpenGL: half a
 /// turn about x.
 pub(crate) fn y_up([x, y, z]: [f32; 3]) -> [f32; 3] {

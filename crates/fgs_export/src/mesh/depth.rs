@@ -9,11 +9,10 @@ use fgs_geom::{Image, View};
 use fgs_splat::{Gaussians, Rasterizer, Rendered};
 use nalgebra::Vector3;
 
+use crate::quantities::is_surface;
+
 /// Below this the background shows through: there is no surface, or its edge.
 const MIN_ALPHA: f32 = 0.8;
-
-/// Fainter gaussians correct colours rather than lie on a surface.
-const MIN_OPACITY: f32 = 0.5;
 
 /// Side of a region, pixels: some tens of gaussians.
 const REGION: usize = 16;
@@ -85,7 +84,7 @@ impl CenterOffsets {
         let regions = [depth_m.width(), depth_m.height()].map(|size| size.div_ceil(REGION));
         let mut regions = Image::filled(regions[0], regions[1], (0.0, 0.0));
         let camera_from_world = view.world_from_camera.inverse();
-        for i in (0..gaussians.len()).filter(|i| gaussians.opacity(*i) >= MIN_OPACITY) {
+        for i in (0..gaussians.len()).filter(|i| is_surface(gaussians, *i)) {
             let center = Vector3::from(gaussians.means[i]).cast::<f64>();
             let center = camera_from_world.transform(&center);
             let Some(pixel) = view.camera.project(&center) else {
