@@ -148,19 +148,18 @@ pub fn run(args: &ExportArgs) -> anyhow::Result<u8> {
     Ok(EXIT_DONE)
 }
 
-/// Where to write. A file there is replaced, but not one of the run's own.
+/// Where to write; makes the folder around it. A file there is replaced, but not one of the run's own.
 fn out_path(args: &ExportArgs, folder: &RunFolder) -> anyhow::Result<PathBuf> {
-    let Some(out) = &args.out else {
-        let exports = folder.join("export");
-        fs::create_dir_all(&exports)
-            .with_context(|| format!("cannot make {}", exports.display()))?;
-        return Ok(exports.join(args.to.default_name()));
-    };
-    if folder.holds_result(out) {
+    let in_run = || folder.join("export").join(args.to.default_name());
+    let out = args.out.clone().unwrap_or_else(in_run);
+    if folder.holds_result(&out) {
         let refusal = format!("--out: {} belongs to the run", out.display());
         return Err(UsageError(refusal).into());
     }
-    Ok(out.clone())
+    if let Some(parent) = out.parent() {
+        fs::create_dir_all(parent).with_context(|| format!("cannot make {}", parent.display()))?;
+    }
+    Ok(out)
 }
 
 /// Writes the export; returns what it holds, in words.

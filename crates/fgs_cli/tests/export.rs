@@ -122,14 +122,14 @@ fn what_is_there_stays() {
     refuse(path, &to_folder, 1, "set");
     assert_eq!(names(&path.join("set")), [""; 0]);
     fs::rename(path.join("room"), path.join("moved")).unwrap();
-    let to_set = ["runs/room", "--to", "nerfstudio", "--out", "new"];
+    let to_set = ["runs/room", "--to", "nerfstudio", "--out", "a/new"];
     refuse(path, &to_set, 1, "--dataset DIR");
     run(
         path,
         &[&["export"], to_set.as_slice(), &["--dataset", "moved"]].concat(),
         0,
     );
-    assert!(path.join("new/transforms.json").is_file());
+    assert!(path.join("a/new/transforms.json").is_file());
 
     refuse(
         path,
