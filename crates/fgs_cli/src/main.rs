@@ -7,6 +7,7 @@ mod console;
 mod demo;
 mod doctor;
 mod eval;
+mod export;
 mod failure;
 mod fly_through;
 mod image_size;
@@ -54,6 +55,7 @@ enum Command {
     Run(run::RunArgs),
     Eval(eval::EvalArgs),
     Render(render::RenderArgs),
+    Export(export::ExportArgs),
     Synth(synth::SynthArgs),
     Demo(demo::DemoArgs),
     Bench(bench::BenchArgs),
@@ -72,6 +74,7 @@ fn main() -> ExitCode {
         Command::Run(args) => run::run(&args),
         Command::Eval(args) => eval::run(&args),
         Command::Render(args) => render::run(&args),
+        Command::Export(args) => export::run(&args),
         Command::Synth(args) => synth::run(&args),
         Command::Demo(args) => demo::run(&args),
         Command::Bench(args) => bench::run(&args),

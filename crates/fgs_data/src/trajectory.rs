@@ -4,10 +4,11 @@
 //! The format's quaternion order, xyzw, appears in this module only. A [`Trajectory`] holds finite
 //! poses at strictly increasing times.
 
+use std::borrow::Cow;
 use std::io::Write;
 use std::path::Path;
 
-use fgs_geom::Se3;
+use fgs_geom::{RgbdFrame, Se3};
 use nalgebra::Vector6;
 
 use crate::lines::Lines;
@@ -19,6 +20,9 @@ const MAX_QUATERNION_LENGTH_ERROR: f64 = 0.05;
 
 /// A thousand kilometres: single precision, in which maps are kept, is good to 6 cm there.
 const MAX_COORDINATE_M: f64 = 1e6;
+
+/// Poses further apart in time do not say how the camera moved at a frame, seconds.
+const MAX_GAP_SECS: f64 = 0.2;
 
 /// A camera pose with its timestamp.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -180,6 +184,13 @@ impl Trajectory {
         } else {
             Vector6::zeros()
         }
+    }
+
+    /// What a render at a frame's pose can be compared with: the frame as one camera with a global
+    /// shutter would have taken it, its rows and its depth image brought to the moment of its time
+    /// stamp by the velocity of this trajectory.
+    pub fn synchronized<'a>(&self, frame: &'a RgbdFrame) -> Cow<'a, RgbdFrame> {
+        frame.synchronized(&self.velocity(frame.timestamp_secs, MAX_GAP_SECS))
     }
 }
 

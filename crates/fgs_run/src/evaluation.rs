@@ -19,7 +19,6 @@ use crate::observer::{RunEvent, RunObserver};
 use crate::run_result::RunResult;
 use crate::score_values::Scores;
 use crate::scores::{FrameErrors, TrajectoryErrors};
-use crate::synchronized::synchronized;
 
 /// So many frames are in memory and scored side by side: enough for the cores of a desktop.
 const FRAMES_AT_ONCE: usize = 16;
@@ -138,7 +137,7 @@ fn score_maps(
                 let (Ok(frame), Some(pose)) = (frame, pose) else {
                     return Ok(vec![None; maps.len()]);
                 };
-                let frame = &synchronized(frame, trajectory);
+                let frame = &trajectory.synchronized(frame);
                 let score = |gaussians: &&Gaussians| {
                     score_frame(frame, pose, gaussians, rasterizer).map(Some)
                 };

@@ -48,7 +48,6 @@ mod run_result;
 mod score_values;
 mod scores;
 mod settings;
-mod synchronized;
 
 pub use backend::{Backend, Model};
 pub use error::RunError;

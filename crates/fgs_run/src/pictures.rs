@@ -12,7 +12,6 @@ use crate::error::RunError;
 use crate::frame_log::FrameRow;
 use crate::run_folder::{PICTURES, RunFolder};
 use crate::run_result::RunResult;
-use crate::synchronized::synchronized;
 
 /// How many pictures show the run, from its first to its last tracked frame.
 const SAMPLES: usize = 5;
@@ -37,7 +36,7 @@ pub fn write_samples(
                 world_from_camera: pose,
             };
             let pass = rasterizer.render(&result.gaussians, &view);
-            let frame = synchronized(&frame, &result.trajectory);
+            let frame = result.trajectory.synchronized(&frame);
             let picture = side_by_side(&frame, &png_bytes(&pass.rendered().color));
             folder.write(&format!("{PICTURES}/{name}.png"), |file| {
                 write_png(&picture, file)

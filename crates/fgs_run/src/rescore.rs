@@ -26,11 +26,8 @@ impl FinishedRun {
     /// # Errors
     /// If the folder is not that of a run, or the recording cannot be opened.
     pub fn open(path: &Path, recording: Option<&Path>) -> Result<Self, RunError> {
-        let config = path.join(CONFIG);
-        if !config.is_file() {
-            return Err(RunError::NotARun { path: path.into() });
-        }
-        let folder = RunFolder::create(path)?;
+        let folder = RunFolder::open(path)?;
+        let config = folder.join(CONFIG);
         let mut settings = Settings::read(&config)?;
         let recording = recording
             .map(Path::to_owned)
@@ -40,6 +37,11 @@ impl FinishedRun {
         let dataset = open_recording(&recording, None, &mut settings)
             .map_err(|error| RunError::RecordingOfRun(Box::new(error)))?;
         Ok(Self { folder, dataset })
+    }
+
+    /// The recording.
+    pub fn dataset(&self) -> &Dataset {
+        &self.dataset
     }
 
     /// Compares trajectory and map with the recording, and writes `metrics.json`, `frames.csv` and
@@ -52,6 +54,8 @@ impl FinishedRun {
         observer: &mut dyn RunObserver,
         stop: &AtomicBool,
     ) -> Result<Option<RunResult>, RunError> {
+        // That nothing can be written shows before the work.
+        RunFolder::create(self.folder.path())?;
         let mut result = RunResult::read(&self.folder)?;
         result.score_trajectory(&self.dataset)?;
         if !result.score_images(&self.dataset, observer, stop)? {

@@ -21,6 +21,9 @@ pub const CONFIG: &str = "config.effective.toml";
 /// Renders beside the input.
 pub const PICTURES: &str = "pictures";
 
+/// The files that a run leaves.
+const RESULTS: [&str; 6] = [METRICS, TRAJECTORY, FRAMES, MAP, REFINED_MAP, CONFIG];
+
 /// A run's folder.
 #[derive(Clone, Debug)]
 pub struct RunFolder {
@@ -44,6 +47,26 @@ impl RunFolder {
                 source,
             })?;
         Ok(folder)
+    }
+
+    /// The folder of a finished run.
+    ///
+    /// # Errors
+    /// [`RunError::NotARun`] if it is not one.
+    pub fn open(path: &Path) -> Result<Self, RunError> {
+        if !path.join(CONFIG).is_file() {
+            return Err(RunError::NotARun { path: path.into() });
+        }
+        Ok(Self { path: path.into() })
+    }
+
+    /// Whether a path is that of a file that the run has left here.
+    pub fn holds_result(&self, path: &Path) -> bool {
+        let same = |name: &str| {
+            let result = self.join(name).canonicalize();
+            result.is_ok_and(|result| path.canonicalize().is_ok_and(|path| path == result))
+        };
+        RESULTS.into_iter().any(same)
     }
 
     /// Makes the first of `NAME`, `NAME-2`, `NAME-3`, ... in `parent` that does not exist yet.
@@ -86,7 +109,7 @@ impl RunFolder {
     /// Removes the results of an earlier run, so that the folder never mixes two runs, not even if
     /// some of the new results cannot be written.
     pub(crate) fn clear_results(&self) {
-        for name in [METRICS, TRAJECTORY, FRAMES, MAP, REFINED_MAP, CONFIG] {
+        for name in RESULTS {
             // What is not there, or cannot be removed, shows when the new file is written.
             let _ = fs::remove_file(self.join(name));
         }

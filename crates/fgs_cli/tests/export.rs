@@ -1,0 +1,146 @@
+//! `fgs export`: every format is written, says what it holds, and nothing else is overwritten.
+
+#![allow(clippy::unwrap_used, reason = "a test may panic, its helpers too")]
+
+mod common;
+
+use std::fs;
+use std::path::Path;
+
+use common::{FRAMES, folder_with_recording, metrics, names, run, stderr, stdout};
+
+const RUN: [&str; 5] = ["run", "room", "--backend", "cpu", "--threads"];
+
+fn export(folder: &Path, arguments: &[&str]) -> String {
+    stdout(&run(
+        folder,
+        &[&["export", "runs/room"], arguments].concat(),
+        0,
+    ))
+}
+
+fn refuse(folder: &Path, arguments: &[&str], exit_code: i32, part: &str) {
+    let message = stderr(&run(folder, &[&["export"], arguments].concat(), exit_code));
+    assert!(message.contains(part), "{arguments:?}: {message}");
+}
+
+#[test]
+fn every_format() {
+    let folder = folder_with_recording();
+    let path = folder.path();
+    run(
+        path,
+        &[&RUN, ["2", "--refine", "20"].as_slice()].concat(),
+        0,
+    );
+    let exports = path.join("runs/room/export");
+    let metrics = metrics(&path.join("runs/room"));
+    let gaussians = &metrics["refined"]["num_gaussians"];
+    let keyframes = &metrics["keyframes"];
+
+    let down = "axes: x right, y down, z forward from the first camera; metres\n";
+    let up = "axes: x right, y up; the first camera looks along -z; metres\n";
+    for (format, name, axes) in [
+        ("ply", "map.ply", down),
+        ("compressed-ply", "map.compressed.ply", down),
+        ("splat", "map.splat", down),
+        ("spz", "map.spz", up),
+        ("glb", "map.glb", up),
+    ] {
+        // The second time the file is replaced.
+        for _ in 0..2 {
+            assert_eq!(
+                export(path, &["--to", format]),
+                format!("runs/room/export/{name}: {gaussians} gaussians\n{axes}")
+            );
+        }
+    }
+    // The refined map.
+    let map = fgs_splat::read_ply(&exports.join("map.ply")).unwrap();
+    let refined = fgs_splat::read_ply(&path.join("runs/room/refined.ply")).unwrap();
+    assert_eq!(map.means, refined.means);
+    assert_eq!(map.opacity_logits, refined.opacity_logits);
+    let splats = fs::metadata(exports.join("map.splat")).unwrap().len();
+    assert_eq!(splats, 32 * map.len() as u64);
+
+    for (format, name, what, axes) in [
+        ("points", "points.ply", " points\n", down),
+        ("mesh-ply", "mesh.ply", " triangles\n", down),
+        ("mesh-obj", "mesh.obj", " triangles\n", down),
+        ("mesh-glb", "mesh.glb", " triangles\n", up),
+    ] {
+        let text = export(path, &["--to", format, "--voxel-m", "0.05"]);
+        assert!(
+            text.starts_with(&format!("runs/room/export/{name}: ")),
+            "{text}"
+        );
+        assert!(text.ends_with(&format!("{what}{axes}")), "{text}");
+        assert!(!text.contains(": 0 "), "{text}");
+        assert!(exports.join(name).is_file());
+    }
+
+    let poses = format!("{FRAMES} poses, 0 frames without one left out\n{down}");
+    for (format, name) in [
+        ("tum", "trajectory.tum.txt"),
+        ("kitti", "trajectory.kitti.txt"),
+    ] {
+        let text = export(path, &["--to", format]);
+        assert_eq!(text, format!("runs/room/export/{name}: {poses}"));
+    }
+    let bytes = |path: &Path| fs::read(path).unwrap();
+    let trajectory = path.join("runs/room/trajectory.txt");
+    assert!(bytes(&exports.join("trajectory.tum.txt")) == bytes(&trajectory));
+    let kitti = fs::read_to_string(exports.join("trajectory.kitti.txt")).unwrap();
+    assert_eq!(kitti.lines().count(), FRAMES);
+
+    for format in ["colmap", "nerfstudio"] {
+        let text = export(path, &["--to", format]);
+        let start = format!("runs/room/export/{format}: {keyframes} images, ");
+        assert!(text.starts_with(&start), "{text}");
+        let images = names(&exports.join(format).join("images"));
+        assert_eq!(images.len() as u64, keyframes.as_u64().unwrap());
+        assert_eq!(images[0], "000000.png");
+    }
+}
+
+#[test]
+fn what_is_there_stays() {
+    let folder = folder_with_recording();
+    let path = folder.path();
+    run(path, &[&RUN, ["2"].as_slice()].concat(), 0);
+    let map = path.join("runs/room/map.ply");
+    let before = fs::read(&map).unwrap();
+    let to_own = ["runs/room", "--to", "ply", "--out", "runs/room/map.ply"];
+    refuse(path, &to_own, 2, "runs/room/map.ply belongs to the run");
+    assert!(fs::read(&map).unwrap() == before);
+
+    // A folder, even an empty one, is not replaced; a recording that has moved is asked for.
+    fs::create_dir(path.join("set")).unwrap();
+    let to_set = ["runs/room", "--to", "colmap", "--out", "set"];
+    refuse(path, &to_set, 1, "set exists already");
+    let to_folder = ["runs/room", "--to", "splat", "--out", "set"];
+    refuse(path, &to_folder, 1, "set");
+    assert_eq!(names(&path.join("set")), [""; 0]);
+    fs::rename(path.join("room"), path.join("moved")).unwrap();
+    let to_set = ["runs/room", "--to", "nerfstudio", "--out", "a/new"];
+    refuse(path, &to_set, 1, "--dataset DIR");
+    run(
+        path,
+        &[&["export"], to_set.as_slice(), &["--dataset", "moved"]].concat(),
+        0,
+    );
+    assert!(path.join("a/new/transforms.json").is_file());
+
+    refuse(
+        path,
+        &["moved", "--to", "ply"],
+        2,
+        "moved is not the folder of a run",
+    );
+    refuse(
+        path,
+        &["runs/room", "--to", "mesh-ply", "--voxel-m", "0"],
+        2,
+        "0.001 to 1 m",
+    );
+}
