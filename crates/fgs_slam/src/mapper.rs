@@ -76,16 +76,13 @@ impl Mapper {
         }
     }
 
-    /// Where the map lacks gaussians for a keyframe (M_m), once those are hidden whose inferred depth
-    /// it contradicts.
+    /// Where the map lacks gaussians for a keyframe (M_m), once those yield that it contradicts.
     ///
     /// # Errors
     /// If the model fails.
     pub fn missing_region(&mut self, keyframe: &Keyframe) -> Result<Image<bool>, MapperError> {
         let (view, frame) = (keyframe.view(), &keyframe.frame);
-        if self.config.seeding.fill_holes {
-            self.model.hide_contradicted(&view, &frame.depth_m)?;
-        }
+        self.model.fade_contradicted(&view, &frame.depth_m)?;
         let missing = missing_region(&mut *self.model, &view, frame, &self.config.seeding)?;
         Ok(missing)
     }

@@ -67,8 +67,8 @@ impl GaussianModel for BadModel {
     fn prune(&mut self, rule: &PruneRule) -> Result<(), ModelError> {
         self.model.prune(rule)
     }
-    fn hide_contradicted(&mut self, view: &View, depth_m: &Image<f32>) -> Result<(), ModelError> {
-        self.model.hide_contradicted(view, depth_m)
+    fn fade_contradicted(&mut self, view: &View, depth_m: &Image<f32>) -> Result<(), ModelError> {
+        self.model.fade_contradicted(view, depth_m)
     }
     fn render(&mut self, view: &View) -> Result<Rendered, ModelError> {
         self.model.render(view)

@@ -6,8 +6,8 @@ use std::collections::BTreeMap;
 
 use fgs_geom::{Image, KeyframeId, Se3, View};
 
+use crate::contradicted::fade_contradicted;
 use crate::gaussians::retain;
-use crate::inferred::hide_contradicted;
 use crate::model::{
     GaussianModel, ModelError, ModelSettings, PruneRule, Seeds, SparseId, StepStats, check_image,
     check_seeds, check_view,
@@ -139,9 +139,9 @@ impl GaussianModel for CpuModel {
         Ok(())
     }
 
-    fn hide_contradicted(&mut self, view: &View, depth_m: &Image<f32>) -> Result<(), ModelError> {
+    fn fade_contradicted(&mut self, view: &View, depth_m: &Image<f32>) -> Result<(), ModelError> {
         check_image(view, depth_m)?;
-        hide_contradicted(&mut self.gaussians, view, depth_m);
+        fade_contradicted(&mut self.gaussians, view, depth_m);
         Ok(())
     }
 

@@ -5,6 +5,7 @@
 #![cfg_attr(not(feature = "gpu"), allow(dead_code, unused_imports))]
 
 mod adam;
+mod contradicted;
 mod cpu;
 mod cpu_model;
 mod exposure;
@@ -12,7 +13,6 @@ mod gaussians;
 #[cfg(feature = "gpu")]
 mod gpu;
 mod gpu_error;
-mod inferred;
 mod kernel;
 mod losses;
 mod model;

@@ -148,13 +148,14 @@ pub trait GaussianModel: Send {
     /// If the device fails.
     fn prune(&mut self, rule: &PruneRule) -> Result<(), ModelError>;
 
-    /// Hides the inferred gaussians that a measured depth image contradicts: whose depth is more than
-    /// 5 % below the one measured at their centre's pixel. Their opacity becomes zero, so that no view
-    /// shows them and pruning removes them. `depth_m` has the view's size; metres.
+    /// Makes gaussians yield that a measured depth image contradicts. Inferred ones whose depth is more
+    /// than 5 % below the one measured at their centre's pixel are hidden: no view shows them, and
+    /// pruning removes them. Others that are more than 20 % nearer fade: their opacity's logit falls by
+    /// 2. `depth_m` has the view's size; metres.
     ///
     /// # Errors
     /// If the depth image's size is not the view's, or the device fails.
-    fn hide_contradicted(&mut self, view: &View, depth_m: &Image<f32>) -> Result<(), ModelError>;
+    fn fade_contradicted(&mut self, view: &View, depth_m: &Image<f32>) -> Result<(), ModelError>;
 
     /// Renders colour, depth and alpha.
     ///

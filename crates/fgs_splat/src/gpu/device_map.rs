@@ -134,19 +134,19 @@ impl DeviceMap {
         Ok(())
     }
 
-    /// Hides the inferred gaussians that a depth image of the view's size contradicts. Nothing may be
+    /// Hides or fades the gaussians that a depth image of the view's size contradicts. Nothing may be
     /// in flight.
     ///
     /// # Errors
     /// If the device fails.
-    pub fn hide_contradicted(&mut self, view: &View, depth_m: &Image<f32>) -> Result<(), GpuError> {
+    pub fn fade_contradicted(&mut self, view: &View, depth_m: &Image<f32>) -> Result<(), GpuError> {
         let uniform = view_uniform(view, self.count, self.buffers.entries());
         self.write("view", bytemuck::bytes_of(&uniform))?;
         let buffer = self.device.buffer_of("depth_m", depth_m.data());
         self.buffers.replace("depth_m", buffer);
         let by_gaussian = groups(self.count);
         let mut recorder = self.recorder(None);
-        recorder.run("hide_contradicted", by_gaussian)?;
+        recorder.run("fade_contradicted", by_gaussian)?;
         recorder.submit();
         self.device.check()
     }

@@ -177,10 +177,10 @@ impl GaussianModel for GpuModel {
         self.work.push(Work::Prune(*rule))
     }
 
-    fn hide_contradicted(&mut self, view: &View, depth_m: &Image<f32>) -> Result<(), ModelError> {
+    fn fade_contradicted(&mut self, view: &View, depth_m: &Image<f32>) -> Result<(), ModelError> {
         check_image(view, depth_m)?;
         self.work.finish()?;
-        Ok(self.work.map.hide_contradicted(view, depth_m)?)
+        Ok(self.work.map.fade_contradicted(view, depth_m)?)
     }
 
     fn render(&mut self, view: &View) -> Result<Rendered, ModelError> {

@@ -7,9 +7,9 @@ use std::fmt::Write;
 use bytemuck::{Pod, Zeroable};
 
 use crate::adam::{BETA_1, BETA_2, DECAY_STEPS, EPSILON};
+use crate::contradicted::{FADE_LOGIT, FAR_IN_FRONT, HIDDEN_LOGIT, IN_FRONT};
 use crate::cpu::{SLACK_PX, WHITEN_SCALE};
 use crate::gaussians::SH0_FACTOR;
-use crate::inferred::{HIDDEN_LOGIT, IN_FRONT};
 use crate::losses::{C1, C2, FLAT_SCALE_M, MAX_LOG_SCALE, MAX_RENDERED, MIN_ALPHA, RADIUS};
 use crate::rendering::{
     ALPHA_MAX, ALPHA_MIN, LOW_PASS_PX2, MAX_MAGNITUDE, MAX_VARIANCE_PX2, MIN_QUAT_NORM2, NEAR_M,
@@ -323,6 +323,8 @@ pub fn preamble() -> String {
         ("DECAY_STEPS", DECAY_STEPS),
         ("EPSILON", EPSILON.into()),
         ("IN_FRONT", IN_FRONT.into()),
+        ("FAR_IN_FRONT", FAR_IN_FRONT.into()),
+        ("FADE_LOGIT", FADE_LOGIT.into()),
         ("HIDDEN_LOGIT", HIDDEN_LOGIT.into()),
     ] {
         let _ = writeln!(source, "const {name}: f32 = {:?};", value as f32);

@@ -133,9 +133,9 @@ pub const SHADER_FILES: &[ShaderFile] = &[
         ],
     },
     ShaderFile {
-        name: "hide_contradicted",
-        parts: &[PROJECTION, include_str!("shaders/hide_contradicted.wgsl")],
-        entry_points: &["hide_contradicted"],
+        name: "fade_contradicted",
+        parts: &[PROJECTION, include_str!("shaders/fade_contradicted.wgsl")],
+        entry_points: &["fade_contradicted"],
     },
     ShaderFile {
         name: "see_through",

@@ -442,7 +442,7 @@ fn prunings_that_overtake_their_reports_remove_each_gaussian_once() {
 }
 
 #[test]
-fn the_same_inferred_gaussians_are_hidden_as_on_the_cpu() {
+fn the_same_gaussians_yield_as_on_the_cpu() {
     let Some((mut world, mut gpu, mut cpu)) = models(3000, &ModelSettings::default()) else {
         return;
     };
@@ -457,7 +457,7 @@ fn the_same_inferred_gaussians_are_hidden_as_on_the_cpu() {
         model.prune(&RULE).unwrap();
         // The device learns of the survivors later.
         let depth_m = random_target(&mut rng(8), &view).depth_m().clone();
-        model.hide_contradicted(&view, &depth_m).unwrap();
+        model.fade_contradicted(&view, &depth_m).unwrap();
         let hidden = model.gaussians().unwrap();
         model.step(IDS[0]).unwrap();
         model.prune(&RULE).unwrap();
