@@ -24,6 +24,7 @@ mod registrar;
 mod relocalizer;
 mod seeding;
 mod session;
+mod sharpness;
 mod sparse_map;
 mod surface;
 mod system;
