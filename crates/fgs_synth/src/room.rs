@@ -56,9 +56,33 @@ impl Room {
     /// A row of `count` rooms along x, generated from consecutive seeds starting at `seed`. Open
     /// doorways, 1 m wide and 2.1 m high, join them in the middle of the walls between them.
     pub fn row(seed: u64, count: usize) -> Self {
-        let mut room = Self::unlit_row(seed, count);
-        room.light = LightMap::bake(&room, seed);
-        room
+        Self::unlit_row(seed, count).lit(seed)
+    }
+
+    /// The room with the furniture of [`new`](Self::new), but without half of its small things, and with
+    /// other pictures, titles and grain.
+    pub(crate) fn look_alike(seed: u64) -> Self {
+        const SMALL_M: f64 = 0.35;
+        let mut room = Self::unlit_row(seed, 1);
+        let stays = |index: usize, solid: &Solid| {
+            let [low, high] = solid.bounds();
+            (high - low).max() > SMALL_M || index % 2 == 0
+        };
+        (room.solids, room.finishes) = (room.solids.into_iter().zip(room.finishes).enumerate())
+            .filter(|(index, (solid, _))| stays(*index, solid))
+            .map(|(_, both)| both)
+            .unzip();
+        for finish in &mut room.finishes {
+            finish.seed = finish.seed.wrapping_add(1000);
+        }
+        room.bvh = Bvh::new(&room.solids);
+        room.lit(seed)
+    }
+
+    /// With the light of its lamps.
+    pub(crate) fn lit(mut self, seed: u64) -> Self {
+        self.light = LightMap::bake(&self, seed);
+        self
     }
 
     pub(crate) fn unlit_row(seed: u64, count: usize) -> Self {
