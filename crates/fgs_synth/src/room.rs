@@ -59,11 +59,12 @@ impl Room {
         Self::unlit_row(seed, count).lit(seed)
     }
 
-    /// The room with the furniture of [`new`](Self::new), but without half of its small things, and with
-    /// other pictures, titles and grain.
+    /// The room of [`new`](Self::new), but a hand wider, without half of its small things, and with other
+    /// pictures, titles and grain.
     pub(crate) fn look_alike(seed: u64) -> Self {
+        const WIDER_M: f64 = 0.15;
         const SMALL_M: f64 = 0.35;
-        let mut room = Self::unlit_row(seed, 1);
+        let mut room = Self::unlit_row_wider(seed, 1, WIDER_M);
         let stays = |index: usize, solid: &Solid| {
             let [low, high] = solid.bounds();
             (high - low).max() > SMALL_M || index % 2 == 0
@@ -86,13 +87,18 @@ impl Room {
     }
 
     pub(crate) fn unlit_row(seed: u64, count: usize) -> Self {
+        Self::unlit_row_wider(seed, count, 0.0)
+    }
+
+    /// Each room is so much wider and deeper than its seed says, metres.
+    fn unlit_row_wider(seed: u64, count: usize, wider_m: f64) -> Self {
         let mut builder = Builder::new(Pcg64Mcg::seed_from_u64(seed));
         let mut thresholds: Vec<f64> = Vec::new();
         let mut size: Vector3<f64> = Vector3::zeros();
         for i in 0..count {
             let seed = seed.wrapping_add(i as u64);
             builder.rng = Pcg64Mcg::seed_from_u64(seed);
-            let own_size = layout::size(&mut builder);
+            let own_size = layout::size(&mut builder) + Vector3::new(wider_m, wider_m, 0.0);
             let half = 0.5 * own_size.x;
             let middle_x = match thresholds.last() {
                 None => 0.0,
