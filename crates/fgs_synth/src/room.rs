@@ -67,7 +67,7 @@ impl Room {
         let mut room = Self::unlit_row_wider(seed, 1, WIDER_M);
         let stays = |index: usize, solid: &Solid| {
             let [low, high] = solid.bounds();
-            (high - low).max() > SMALL_M || index % 2 == 0
+            (high - low).max() > SMALL_M || index.is_multiple_of(2)
         };
         (room.solids, room.finishes) = (room.solids.into_iter().zip(room.finishes).enumerate())
             .filter(|(index, (solid, _))| stays(*index, solid))
