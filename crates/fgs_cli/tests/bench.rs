@@ -1,4 +1,5 @@
-//! `fgs bench --backend gpu` on a tiny scene. Skipped where there is no graphics device.
+//! `fgs bench --backend gpu` on a tiny scene, skipped where there is no graphics device, and
+//! `--robustness`.
 
 #![allow(clippy::unwrap_used, reason = "a test may panic, its helpers too")]
 
@@ -64,4 +65,34 @@ fn every_stage_of_a_step_has_a_time_and_a_floor() {
             !row["stage"].as_str().unwrap().contains("keyframe") && row["stage"] != "prune nothing";
         assert_eq!(row["floor_ms"].is_f64(), has_clock && of_step, "{row}");
     }
+}
+
+#[test]
+fn robustness_judges_every_frame_of_the_scenarios_that_are_named() {
+    let folder = tempfile::tempdir().unwrap();
+    let arguments = [
+        "bench",
+        "--robustness",
+        "repeated",
+        "--size",
+        "160x120",
+        "--json",
+    ];
+    let output = fgs(folder.path(), &arguments).output().unwrap();
+    assert_eq!(output.status.code(), Some(0), "{}", stderr(&output));
+    let events: Vec<Value> = stdout(&output)
+        .lines()
+        .map(|line| serde_json::from_str(line).unwrap())
+        .collect();
+    let scenario = &events[0];
+    assert_eq!(scenario["scenario"], "repeated");
+    assert_eq!(scenario["frames"], 42);
+    assert_eq!(scenario["tracked"], 42);
+    assert_eq!(scenario["wrong_tracked"], 0);
+    assert_eq!(scenario["recovered_after"], 0);
+    let worst_m = scenario["worst_tracked_m"].as_f64().unwrap();
+    assert!(worst_m > 0.0 && worst_m < 0.02, "{worst_m}");
+    let frames = events.iter().filter(|event| event["event"] == "frame");
+    assert_eq!(frames.count(), 42);
+    assert_eq!(events.len(), 43);
 }

@@ -24,6 +24,7 @@ mod pattern;
 mod picture;
 mod render;
 mod room;
+mod scenario;
 mod sensor;
 mod sequence;
 mod shape;
@@ -32,6 +33,7 @@ mod write;
 
 pub use path::{CameraPath, FRAMES_PER_LOOP};
 pub use room::Room;
+pub use scenario::{PoseError, Scenario};
 pub use sensor::SensorModel;
 pub use sequence::{FRAMES_PER_SECOND, KINECT, Sequence, kinect_camera};
 pub use write::{SynthError, write_replica, write_tum};

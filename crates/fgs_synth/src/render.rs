@@ -27,10 +27,22 @@ pub(crate) struct Picture {
 }
 
 impl Picture {
-    fn black(camera: &Camera) -> Self {
+    pub fn black(camera: &Camera) -> Self {
         Self {
             radiance: Image::filled(camera.width, camera.height, Rgb::zeros()),
             depth_m: Image::filled(camera.width, camera.height, 0.0),
+        }
+    }
+
+    /// Something nearer comes before what is there.
+    pub fn cover(&mut self, other: &Self) {
+        let (width, height) = (self.depth_m.width(), self.depth_m.height());
+        for (u, v) in (0..height).flat_map(|v| (0..width).map(move |u| (u, v))) {
+            let (there, nearer) = (self.depth_m.at(u, v), other.depth_m.at(u, v));
+            if nearer > 0.0 && !(there > 0.0 && there <= nearer) {
+                self.depth_m.set(u, v, nearer);
+                self.radiance.set(u, v, other.radiance.at(u, v));
+            }
         }
     }
 

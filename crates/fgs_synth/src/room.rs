@@ -56,19 +56,49 @@ impl Room {
     /// A row of `count` rooms along x, generated from consecutive seeds starting at `seed`. Open
     /// doorways, 1 m wide and 2.1 m high, join them in the middle of the walls between them.
     pub fn row(seed: u64, count: usize) -> Self {
-        let mut room = Self::unlit_row(seed, count);
-        room.light = LightMap::bake(&room, seed);
-        room
+        Self::unlit_row(seed, count).lit(seed)
+    }
+
+    /// The room of [`new`](Self::new), but a hand wider, without half of its small things, and with other
+    /// pictures, titles and grain.
+    pub(crate) fn look_alike(seed: u64) -> Self {
+        const WIDER_M: f64 = 0.15;
+        const SMALL_M: f64 = 0.35;
+        let mut room = Self::unlit_row_wider(seed, 1, WIDER_M);
+        let stays = |index: usize, solid: &Solid| {
+            let [low, high] = solid.bounds();
+            (high - low).max() > SMALL_M || index.is_multiple_of(2)
+        };
+        (room.solids, room.finishes) = (room.solids.into_iter().zip(room.finishes).enumerate())
+            .filter(|(index, (solid, _))| stays(*index, solid))
+            .map(|(_, both)| both)
+            .unzip();
+        for finish in &mut room.finishes {
+            finish.seed = finish.seed.wrapping_add(1000);
+        }
+        room.bvh = Bvh::new(&room.solids);
+        room.lit(seed)
+    }
+
+    /// With the light of its lamps.
+    pub(crate) fn lit(mut self, seed: u64) -> Self {
+        self.light = LightMap::bake(&self, seed);
+        self
     }
 
     pub(crate) fn unlit_row(seed: u64, count: usize) -> Self {
+        Self::unlit_row_wider(seed, count, 0.0)
+    }
+
+    /// Each room is so much wider and deeper than its seed says, metres.
+    fn unlit_row_wider(seed: u64, count: usize, wider_m: f64) -> Self {
         let mut builder = Builder::new(Pcg64Mcg::seed_from_u64(seed));
         let mut thresholds: Vec<f64> = Vec::new();
         let mut size: Vector3<f64> = Vector3::zeros();
         for i in 0..count {
             let seed = seed.wrapping_add(i as u64);
             builder.rng = Pcg64Mcg::seed_from_u64(seed);
-            let own_size = layout::size(&mut builder);
+            let own_size = layout::size(&mut builder) + Vector3::new(wider_m, wider_m, 0.0);
             let half = 0.5 * own_size.x;
             let middle_x = match thresholds.last() {
                 None => 0.0,

@@ -13,6 +13,10 @@ use crate::walk::Walk;
 /// Frame rate of every sequence, Hz.
 pub const FRAMES_PER_SECOND: f64 = 30.0;
 
+/// Poses averaged over an exposure: enough to keep them at most a pixel apart at a normal pace, and odd,
+/// so that one is in the middle.
+pub(crate) const EXPOSED_MOMENTS: usize = 5;
+
 /// A Kinect's camera: 640x480 pixels with its nominal intrinsics.
 pub const KINECT: Camera = Camera {
     width: 640,
@@ -166,9 +170,6 @@ impl Sequence {
 
     /// Exact depth at the middle of the exposure, and radiance averaged over it.
     fn exposed(&self, index: usize) -> Picture {
-        /// Poses averaged over the exposure: enough to keep them at most a pixel apart at a normal
-        /// pace, and odd, so that one is in the middle.
-        const MOMENTS: usize = 5;
         if self.sensor.shutter == 0.0 {
             let view = View {
                 camera: self.camera,
@@ -176,9 +177,9 @@ impl Sequence {
             };
             return render(&self.room, &view);
         }
-        let poses: [Se3; MOMENTS] = std::array::from_fn(|moment| {
-            let offset = moment as f64 - (MOMENTS / 2) as f64;
-            self.pose_at(index as f64 + self.sensor.shutter * offset / MOMENTS as f64)
+        let poses: [Se3; EXPOSED_MOMENTS] = std::array::from_fn(|moment| {
+            let offset = moment as f64 - (EXPOSED_MOMENTS / 2) as f64;
+            self.pose_at(index as f64 + self.sensor.shutter * offset / EXPOSED_MOMENTS as f64)
         });
         render_moving(&self.room, &self.camera, &poses)
     }

@@ -3,7 +3,7 @@
 //! Each stage is checked before it is timed. Its floor is the time this machine needs to move the
 //! bytes the stage must touch once or to do its operations, whichever is longer, at the rates
 //! measured in the same run. `cpu` times the whole system on the CPU, `gpu` the optimisation step on
-//! a graphics device.
+//! a graphics device. `robustness` judges verdicts instead of timing stages.
 
 mod baseline;
 mod cpu;
@@ -13,6 +13,7 @@ mod gpu_floors;
 mod input;
 mod machine;
 mod mapping;
+mod robustness;
 mod scene;
 mod stage;
 mod tracking;
@@ -40,6 +41,7 @@ Examples:
   fgs bench recordings/desk --json   frames of a recording with known poses, decoding included
   fgs bench --instructions avx2      as a processor without AVX-512 computes (also neon, plain)
   fgs bench --save-baseline before.json, then fgs bench --baseline before.json   what got slower
+  fgs bench --robustness             whether a camera that is lost says so
   fgs bench --backend gpu            steps of 100k, 500k and 2M gaussians at 1200x680
   fgs bench --backend gpu --size 320x240 --gaussians 20000   small enough for a device in software")]
 pub struct BenchArgs {
@@ -54,7 +56,7 @@ pub struct BenchArgs {
         value_parser = clap::value_parser!(u32).range(1..=16_000_000))]
     gaussians: Vec<u32>,
     /// Size of the synthetic room's images [default: 640x480 and 1200x680; on a graphics device the
-    /// latter]
+    /// latter; with --robustness 320x240]
     #[arg(long, value_name = "WxH", conflicts_with = "recordings")]
     size: Option<ImageSize>,
     /// First frame of a recording to use
@@ -69,6 +71,12 @@ pub struct BenchArgs {
     /// Keep the times in this file
     #[arg(long, value_name = "FILE")]
     save_baseline: Option<PathBuf>,
+    /// Instead, follow a camera through scenarios in which it is likely to get lost, all or some
+    /// and say how many poses that were believed are wrong
+    #[arg(long, value_name = "NAME,...", value_delimiter = ',', num_args = 0..,
+        conflicts_with_all = ["recordings", "backend", "gaussians", "baseline", "save_baseline"],
+        value_parser = robustness::names())]
+    robustness: Option<Vec<String>>,
     /// One JSON object a line instead of text
     #[arg(long)]
     json: bool,
@@ -91,6 +99,9 @@ enum Timed {
 /// result.
 pub fn run(args: &BenchArgs) -> anyhow::Result<u8> {
     let console = Console::new(args.json);
+    if let Some(names) = &args.robustness {
+        return robustness::run(names, args.size, console);
+    }
     match args.backend {
         Timed::Cpu => time_cpu(args, console),
         Timed::Gpu if args.baseline.is_some() || args.save_baseline.is_some() => {

@@ -1,0 +1,56 @@
+//! Someone walks through the view.
+
+use std::sync::Arc;
+
+use fgs_geom::Se3;
+use nalgebra::{UnitQuaternion, Vector3};
+use rand::SeedableRng;
+use rand_pcg::Pcg64Mcg;
+
+use super::stage::{Guest, Stage};
+use super::{SEED, Scenario, stretch};
+use crate::builder::{Builder, Place};
+use crate::decor::paint;
+use crate::path::{CameraPath, FRAMES_PER_LOOP};
+use crate::pattern::{Pattern, srgb};
+use crate::room::Room;
+use crate::sequence::FRAMES_PER_SECOND;
+
+/// Someone walks by at a metre and a quarter, at a metre a second.
+pub(super) fn passer_by(scenario: &mut Scenario) {
+    let camera = CameraPath::new(SEED).world_from_camera(60.0 / FRAMES_PER_LOOP as f64);
+    let ahead = camera.rotation * Vector3::z();
+    let right = camera.rotation * Vector3::x();
+    let way = move |at: f64| {
+        let place = camera.translation + 1.25 * ahead + (at - 60.0) / FRAMES_PER_SECOND * right;
+        let on_floor = Vector3::new(place.x, place.y, 0.0);
+        Se3::new(UnitQuaternion::identity(), on_floor)
+    };
+    let guest = Guest {
+        body: person(),
+        way: Box::new(way),
+    };
+    let room = Arc::new(Stage::furnished(SEED).with_guest(guest));
+    scenario.film(&room, stretch(0.0, 20.0, 20));
+    scenario.disturb(&room, stretch(20.0, 100.0, 80));
+    scenario.film(&room, stretch(100.0, 110.0, 10));
+}
+
+/// Someone 1.75 m tall in a striped shirt, at the origin.
+fn person() -> Room {
+    let mut builder = Builder::new(Pcg64Mcg::seed_from_u64(SEED));
+    let at = Place::new([0.0; 3], 0.0);
+    let shirt = Pattern::Stripes {
+        colors: [srgb(0x2f4a5f), srgb(0xe0d6c0)],
+        period: 0.08,
+    };
+    let trousers = Pattern::Cloth(srgb(0x3a3a48));
+    builder.frustum(at, [0.0; 3], 0.85, [0.16, 0.2], trousers);
+    builder.frustum(at, [0.0, 0.0, 0.85], 0.6, [0.2, 0.24], shirt);
+    builder.ball(at, [0.0, 0.0, 1.6], [0.1, 0.1, 0.15], paint(0xc09a80));
+    // Its own light, about that of a room.
+    for finish in &mut builder.finishes {
+        finish.glow = 0.4;
+    }
+    Room::unlit(builder, Vector3::new(0.5, 0.5, 1.75))
+}
