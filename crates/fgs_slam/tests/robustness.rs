@@ -99,6 +99,13 @@ fn places_that_are_not_known_are_not_mistaken_for_known_ones() {
 }
 
 #[test]
+fn a_room_that_looks_alike_is_not_taken_for_the_known_one() {
+    let run = Run::of("look-alike");
+    run.assert_honest();
+    run.assert_found_again();
+}
+
+#[test]
 fn a_camera_that_nothing_holds_is_not_trusted() {
     for name in ["bare-wall", "corridor"] {
         Run::of(name).assert_honest();
