@@ -24,7 +24,6 @@ mod registrar;
 mod relocalizer;
 mod seeding;
 mod session;
-mod sharpness;
 mod sparse_map;
 mod surface;
 mod system;

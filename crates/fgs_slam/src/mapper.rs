@@ -14,7 +14,6 @@ use crate::map_alignment::{FrameToAlign, align_with_map};
 use crate::missing::missing_region;
 use crate::prepare::PreparedKeyframe;
 use crate::refinement::Rounds;
-use crate::sharpness::sharpness;
 use crate::view_choice::ViewChoice;
 
 /// A keyframe that shows more than this share of the newest keyframe's gaussians is covisible with
@@ -137,13 +136,8 @@ impl Mapper {
         self.model.insert(&prepared.seeds, id)?;
         self.model.add_view(id, keyframe.view(), prepared.target)?;
         let covisibility = self.model.covisibility(id)?;
-        self.choice.set_current(
-            id,
-            sharpness(&keyframe.frame.color),
-            &covisibility,
-            MIN_COVISIBLE_SHARE,
-            NEWEST_FIRST,
-        );
+        self.choice
+            .set_current(id, &covisibility, MIN_COVISIBLE_SHARE, NEWEST_FIRST);
         self.views.push((id, keyframe.frame.index));
         if self.views.len() > self.config.mapping.max_keyframes {
             self.drop_most_crowded_view()?;

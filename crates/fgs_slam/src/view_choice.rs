@@ -1,16 +1,11 @@
 //! Which keyframe to optimise next (paper, Sec. III-C): covisible ones for the part of the map in
-//! front of the camera, random others against forgetting. Blurred ones are drawn less often.
-//!
-//! Differs from the paper, which does not look at blur.
+//! front of the camera, random others against forgetting.
 
-use std::collections::{BTreeMap, VecDeque};
+use std::collections::VecDeque;
 
 use fgs_geom::KeyframeId;
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
-
-/// A blurred view that was drawn is put back up to so many times.
-const MAX_REDRAWS: usize = 3;
 
 /// Draws keyframes; the same seed and calls give the same draws.
 pub struct ViewChoice {
@@ -18,7 +13,6 @@ pub struct ViewChoice {
     covisible_probability: f64,
     covisible: Vec<KeyframeId>,
     others: Vec<KeyframeId>,
-    sharpness: BTreeMap<KeyframeId, f64>,
     /// Views to be drawn before all others.
     first: VecDeque<KeyframeId>,
 }
@@ -31,18 +25,16 @@ impl ViewChoice {
             covisible_probability,
             covisible: Vec::new(),
             others: Vec::new(),
-            sharpness: BTreeMap::new(),
             first: VecDeque::new(),
         }
     }
 
-    /// A new keyframe came, as sharp as `sharpness` says. `covisibility` is the share of its visible gaussians that each of the
+    /// A new keyframe came. `covisibility` is the share of its visible gaussians that each of the
     /// other views shows too; those above `min_share`, and the new one, are covisible. The new one
     /// is drawn `newest_first` times before any other.
     pub fn set_current(
         &mut self,
         current: KeyframeId,
-        sharpness: f64,
         covisibility: &[(KeyframeId, f32)],
         min_share: f32,
         newest_first: usize,
@@ -53,7 +45,6 @@ impl ViewChoice {
         self.covisible = covisible.into_iter().map(|(id, _)| id).collect();
         self.covisible.push(current);
         self.others = others.into_iter().map(|(id, _)| id).collect();
-        self.sharpness.insert(current, sharpness);
         self.first
             .extend(std::iter::repeat_n(current, newest_first));
     }
@@ -63,7 +54,6 @@ impl ViewChoice {
         self.covisible.retain(|view| *view != id);
         self.others.retain(|view| *view != id);
         self.first.retain(|view| *view != id);
-        self.sharpness.remove(&id);
     }
 
     /// The next view to optimise; `None` before the first keyframe.
@@ -71,22 +61,6 @@ impl ViewChoice {
         if let Some(first) = self.first.pop_front() {
             return Some(first);
         }
-        let typical = self.typical_sharpness();
-        let mut drawn = self.draw_any()?;
-        for _ in 0..MAX_REDRAWS {
-            let weight = self
-                .sharpness
-                .get(&drawn)
-                .map_or(1.0, |sharp| sharp / typical);
-            if weight >= 1.0 || self.rng.random::<f64>() < weight {
-                break;
-            }
-            drawn = self.draw_any()?;
-        }
-        Some(drawn)
-    }
-
-    fn draw_any(&mut self) -> Option<KeyframeId> {
         let covisible = self.rng.random::<f64>() < self.covisible_probability;
         let group = match (covisible, self.covisible.is_empty(), self.others.is_empty()) {
             (_, true, true) => return None,
@@ -94,13 +68,6 @@ impl ViewChoice {
             _ => &self.others,
         };
         Some(group[self.rng.random_range(0..group.len())])
-    }
-
-    /// The median of all views; 0 without any.
-    fn typical_sharpness(&self) -> f64 {
-        let mut all: Vec<f64> = self.sharpness.values().copied().collect();
-        all.sort_by(f64::total_cmp);
-        all.get(all.len() / 2).copied().unwrap_or(0.0)
     }
 }
 
@@ -115,7 +82,7 @@ mod tests {
             (KeyframeId(1), 0.7),
             (KeyframeId(2), 0.71),
         ];
-        choice.set_current(KeyframeId(3), 1.0, &covisibility, 0.7, 2);
+        choice.set_current(KeyframeId(3), &covisibility, 0.7, 2);
         choice
     }
 
@@ -137,26 +104,6 @@ mod tests {
     }
 
     #[test]
-    fn a_view_half_as_sharp_is_drawn_half_as_often() {
-        let mut choice = ViewChoice::new(7, 0.5);
-        for (id, sharpness) in [(0, 1.0), (1, 0.5), (2, 1.0), (3, 1.2)] {
-            choice.set_current(KeyframeId(id), sharpness, &[], 0.7, 0);
-        }
-        let all = [0, 1, 2].map(|id| (KeyframeId(id), 0.9));
-        choice.set_current(KeyframeId(3), 1.2, &all, 0.7, 0);
-        let mut counts = [0.0; 4];
-        for _ in 0..10_000 {
-            counts[choice.draw().unwrap().0 as usize] += 1e-4;
-        }
-        for (count, share) in counts
-            .iter()
-            .zip([2.0, 1.0, 2.0, 2.0].map(|part| part / 7.0))
-        {
-            assert!((count - share).abs() <= 0.02, "{counts:?}");
-        }
-    }
-
-    #[test]
     fn repeats_itself() {
         let draws = |mut choice: ViewChoice| (0..50).map(|_| choice.draw()).collect::<Vec<_>>();
         assert_eq!(draws(views()), draws(views()));
@@ -166,9 +113,9 @@ mod tests {
     fn draws_what_there_is() {
         let mut choice = ViewChoice::new(7, 0.7);
         assert_eq!(choice.draw(), None);
-        choice.set_current(KeyframeId(0), 1.0, &[], 0.7, 0);
+        choice.set_current(KeyframeId(0), &[], 0.7, 0);
         assert!((0..20).all(|_| choice.draw() == Some(KeyframeId(0))));
-        choice.set_current(KeyframeId(1), 1.0, &[(KeyframeId(0), 0.0)], 0.7, 5);
+        choice.set_current(KeyframeId(1), &[(KeyframeId(0), 0.0)], 0.7, 5);
         choice.forget(KeyframeId(1));
         assert!((0..20).all(|_| choice.draw() == Some(KeyframeId(0))));
     }
