@@ -21,6 +21,9 @@ const MAX_KEYFRAMES: usize = 64;
 /// a pixel's misalignment are no disagreement.
 const AGREEMENT_LEVEL: usize = 1;
 
+/// A finer level is compared if there are fewer points.
+const MIN_REFERENCE_POINTS: usize = 80;
+
 /// A keyframe shares enough with a frame to judge it if this share of its points is seen there.
 const MIN_SHARED: f64 = 0.2;
 
@@ -79,18 +82,25 @@ impl ColorAligner {
         depth_m: &Image<f32>,
         world_from_camera: &Se3,
     ) -> Option<Agreement> {
-        let level = AGREEMENT_LEVEL.min(pyramid.levels.len() - 1);
+        let newest = self.keyframes.back()?;
+        // Small images have too few points at a quarter of their size.
+        let has_enough = |level: &usize| {
+            let points = newest.reference.levels.get(*level);
+            points.is_some_and(|points| points.len() >= MIN_REFERENCE_POINTS)
+        };
+        let level = (0..=AGREEMENT_LEVEL).rev().find(has_enough).unwrap_or(0);
+        let image = pyramid.levels.get(level)?;
         let contrast = contrast(pyramid.levels.last()?);
         let with = |keyframe: &ReferenceKeyframe| {
             Some(agreement(
-                &pyramid.levels[level],
+                image,
                 depth_m,
                 contrast,
                 keyframe.reference.levels.get(level)?,
                 &(world_from_camera.inverse() * keyframe.world_from_camera),
             ))
         };
-        let newest = with(self.keyframes.back()?)?;
+        let newest = with(newest)?;
         if newest.share >= MIN_SHARED {
             return Some(newest);
         }

@@ -120,6 +120,8 @@ struct Registered {
     world_from_depth: Se3,
     /// Tangent in the depth camera's axes.
     information: Option<Matrix6<f64>>,
+    /// What of it the points hold.
+    held: Matrix6<f64>,
 }
 
 impl Registrar {
@@ -143,6 +145,7 @@ impl Registrar {
             let registered = Registered {
                 world_from_depth: *world_from_camera * color_from_depth,
                 information: None,
+                held: Matrix6::zeros(),
             };
             Attempt {
                 verdict: Verdict::Tracked,
@@ -177,6 +180,7 @@ impl Registrar {
             inlier_share: alignment.inlier_share,
             residual_m: alignment.rms_residual_m,
             conditioning: alignment.conditioning.weakest,
+            uncertainty_m: 0.0,
             agreement: None,
         };
         Some(self.locate(measured, known, &registered, evidence))
@@ -185,15 +189,16 @@ impl Registrar {
     /// The pose of a registration where its points hold the camera, the start where they do not.
     fn registered(&self, alignment: &Alignment, source: &[Point], start: &Start) -> Registered {
         let thickness = self.surface.disk_thickness;
-        let held = held_information(alignment, source, thickness, SENSOR_NOISE_M);
         let trust = self.config.depth_trust;
+        let held = trust * held_information(alignment, source, thickness, SENSOR_NOISE_M);
         Registered {
             world_from_depth: fused_pose(
                 &alignment.target_from_source,
                 &start.world_from_depth,
-                [&(trust * held), &start.information],
+                [&held, &start.information],
             ),
             information: Some(trust * alignment.information(SENSOR_NOISE_M)),
+            held,
         }
     }
 
@@ -233,24 +238,27 @@ impl Registrar {
         let frame = shared(measured.frame, measured.frame.with_steady_color(&velocity));
         let pyramid = self.config.color.then(|| ColorAligner::pyramid(&frame));
         let depth_from_color = frame.depth_sensor.color_from_depth(&velocity).inverse();
+        let depth_by_color = depth_from_color.adjoint();
+        let by_color =
+            |information: &Matrix6<f64>| depth_by_color.transpose() * information * depth_by_color;
         let mut located = Located {
             world_from_camera: registered.world_from_depth * depth_from_color,
             velocity,
-            information: registered.information.map(|information| {
-                let depth_by_color = depth_from_color.adjoint();
-                depth_by_color.transpose() * information * depth_by_color
-            }),
+            information: registered.information.as_ref().map(by_color),
         };
+        let mut held = by_color(&registered.held);
         if let Some(pyramid) = &pyramid {
             if let Some(prior) = located.prior()
                 && let Some(aligned) = known.keyframes.align(pyramid, &prior)
             {
                 located.world_from_camera = aligned.world_from_camera;
                 located.information = Some(prior.information + aligned.information);
+                held += aligned.information;
             }
             let pose = &located.world_from_camera;
             evidence.agreement = known.keyframes.agreement(pyramid, &frame.depth_m, pose);
         }
+        evidence.uncertainty_m = position_uncertainty_m(&held);
         Attempt {
             verdict: evidence.verdict(&self.limits()),
             is_doubtful: evidence.is_doubtful(&self.limits()),
@@ -291,6 +299,16 @@ impl Registrar {
     pub fn disk(&self, point: &SurfacePoint) -> Point {
         point.disk(self.surface.disk_thickness, self.surface.noise_power)
     }
+}
+
+/// The standard deviation of a position along its worst direction, metres, given the information of a pose,
+/// `[omega, v]`.
+fn position_uncertainty_m(information: &Matrix6<f64>) -> f64 {
+    // What is not known at all is known to 30 m and rad.
+    let known: Matrix6<f64> = information + 1e-3 * Matrix6::identity();
+    let covariance = known.try_inverse().unwrap_or_else(Matrix6::zeros);
+    let of_position = covariance.fixed_view::<3, 3>(3, 3).into_owned();
+    of_position.symmetric_eigenvalues().max().max(0.0).sqrt()
 }
 
 /// A frame that may be the same as one that is shared already.

@@ -118,8 +118,7 @@ impl Tracker {
         };
         if let Some(attempt) = found {
             quality.of(&attempt.evidence);
-            let is_beyond_doubt = !attempt.is_doubtful && !attempt.is_relocalized;
-            tracked.verdict = self.believe(attempt.verdict, is_beyond_doubt);
+            tracked.verdict = self.believe(&attempt);
             if tracked.verdict > Verdict::Lost {
                 tracked.world_from_camera = Some(attempt.located.world_from_camera);
                 self.stand_at(&attempt);
@@ -128,7 +127,7 @@ impl Tracker {
                 tracked.work = self.work(attempt, &points, admission);
             }
         } else if self.newest_keyframe.is_some() {
-            self.believe(Verdict::Lost, false);
+            self.footing = self.stumbled();
         }
         tracked.quality = TrackingQuality {
             duration: start.elapsed(),
@@ -221,23 +220,36 @@ impl Tracker {
     }
 
     /// What a frame's own verdict is worth after those before it.
-    fn believe(&mut self, own: Verdict, is_beyond_doubt: bool) -> Verdict {
-        let (footing, verdict) = match (std::mem::replace(&mut self.footing, Footing::Firm), own) {
-            (Footing::Firm, Verdict::Lost) => (Footing::Lost, own),
-            (Footing::Firm, _) | (Footing::Found { .. }, Verdict::Tracked) => (Footing::Firm, own),
-            (Footing::Lost, Verdict::Tracked) if is_beyond_doubt => (Footing::Firm, own),
-            (Footing::Lost, Verdict::Tracked) => {
+    fn believe(&mut self, attempt: &Attempt) -> Verdict {
+        let own = attempt.verdict;
+        if own == Verdict::Lost {
+            self.footing = self.stumbled();
+            return own;
+        }
+        let is_a_find = own == Verdict::Tracked && attempt.evidence.is_a_find();
+        let (footing, verdict) = match std::mem::replace(&mut self.footing, Footing::Firm) {
+            Footing::Firm => (Footing::Firm, own),
+            Footing::Lost if !is_a_find => (Footing::Lost, Verdict::Lost),
+            Footing::Lost if attempt.is_doubtful || attempt.is_relocalized => {
                 let before = self.motion.clone();
                 (Footing::Found { before }, Verdict::Weak)
             }
-            (Footing::Lost, _) => (Footing::Lost, Verdict::Lost),
-            (Footing::Found { before }, _) => {
+            Footing::Found { before } if !is_a_find => {
                 self.motion = before;
                 (Footing::Lost, Verdict::Lost)
             }
+            Footing::Lost | Footing::Found { .. } => (Footing::Firm, own),
         };
         self.footing = footing;
         verdict
+    }
+
+    /// The footing after a frame that is lost.
+    fn stumbled(&mut self) -> Footing {
+        if let Footing::Found { before } = std::mem::replace(&mut self.footing, Footing::Lost) {
+            self.motion = before;
+        }
+        Footing::Lost
     }
 
     /// The camera is where a frame was found.

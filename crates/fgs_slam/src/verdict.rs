@@ -20,6 +20,14 @@ const GOOD_SUPPORT: f64 = 0.45;
 const CLEAR_SUPPORT: f64 = 0.75;
 const CLEAR_INLIER_SHARE: f64 = 0.3;
 
+/// A camera that was lost is found only where at least so many of its points are registered, and a
+/// keyframe is clearly seen. Look-alike rooms gave 0.6; right ones above 0.9.
+const FOUND_INLIER_SHARE: f64 = 0.75;
+
+/// A position that depth and colour hold less than this in some direction, metres of standard deviation,
+/// is the motion model's: a bare wall, a corridor along its axis. Right poses are below 2.5 mm.
+const MAX_UNCERTAINTY_M: f64 = 0.01;
+
 /// What to make of a pose.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Verdict {
@@ -51,6 +59,8 @@ pub struct Evidence {
     pub residual_m: f64,
     /// How well the weakest direction is constrained relative to the strongest, 0 to 1.
     pub conditioning: f64,
+    /// Standard deviation of the position, along its worst direction, by depth and colour alone, metres.
+    pub uncertainty_m: f64,
     /// How the frame agrees with a keyframe, if there is one to compare with.
     pub agreement: Option<Agreement>,
 }
@@ -71,6 +81,7 @@ impl Evidence {
             _ if !registered => Verdict::Lost,
             Some(support) if support < MIN_SUPPORT => Verdict::Lost,
             Some(support) if support < GOOD_SUPPORT => Verdict::Weak,
+            _ if self.uncertainty_m > MAX_UNCERTAINTY_M => Verdict::Weak,
             _ => Verdict::Tracked,
         }
     }
@@ -82,6 +93,14 @@ impl Evidence {
             || self
                 .support()
                 .is_some_and(|support| support < CLEAR_SUPPORT)
+    }
+
+    /// Whether a camera that was lost is believed to be found there.
+    pub fn is_a_find(&self) -> bool {
+        self.inlier_share >= FOUND_INLIER_SHARE
+            && self
+                .support()
+                .is_none_or(|support| support >= CLEAR_SUPPORT)
     }
 
     /// Orders poses of one frame that have the same verdict.
@@ -112,6 +131,7 @@ mod tests {
             inlier_share,
             residual_m: 0.006,
             conditioning: 0.01,
+            uncertainty_m: 0.002,
             agreement: Some(Agreement {
                 points: 100,
                 share: 0.6,
@@ -181,5 +201,18 @@ mod tests {
     fn of_two_poses_the_one_with_more_behind_it_is_stronger() {
         assert!(evidence(0.8, 0.9, 0.0).strength() > evidence(0.8, 0.6, 0.0).strength());
         assert!(evidence(0.8, 0.6, 0.0).strength() > evidence(0.6, 0.6, 0.0).strength());
+    }
+
+    #[test]
+    fn what_nothing_holds_is_weak_and_a_lost_camera_is_found_on_strong_evidence_only() {
+        let sliding = Evidence {
+            uncertainty_m: 0.03,
+            ..evidence(0.9, 0.99, 0.0)
+        };
+        assert_eq!(sliding.verdict(&LIMITS), Verdict::Weak);
+        assert!(evidence(1.0, 0.9, 0.0).is_a_find());
+        // A room that looks alike.
+        assert!(!evidence(0.6, 0.9, 0.0).is_a_find());
+        assert!(!evidence(0.9, 0.58, 0.0).is_a_find());
     }
 }
