@@ -1,0 +1,120 @@
+//! What the graph makes of loops: how keyframes should move.
+
+use fgs_geom::{KeyframeId, Se3};
+use fgs_graph::{Edge, KeyframeGraph, OptimizeSettings, RobustKernel};
+use nalgebra::{Matrix6, Vector6};
+
+use super::detect::way;
+use super::verify::{Revisit, with_variance};
+
+/// Tracking drifts by about so much from one keyframe to the next, beside what its registration
+/// knows of: standard deviations, of the way between the two (metres), and at least.
+const DRIFT: f64 = 0.01;
+const DRIFT_RAD_PER_M: f64 = 0.005;
+const MIN_DRIFT_M: f64 = 0.001;
+const MIN_DRIFT_RAD: f64 = 0.0005;
+
+/// A loop loses weight from this squared error on: the 95 % quantile with six degrees of freedom.
+const THRESHOLD: f64 = 12.6;
+
+/// A loop that is left with less weight contradicts the others.
+const MIN_WEIGHT: f64 = 0.5;
+
+/// Two revisits agree if the drift that they found differs by less.
+const MAX_TURN_RAD: f64 = 0.015;
+const MAX_SHIFT_M: f64 = 0.02;
+
+/// Smaller corrections are not worth their trouble.
+const MIN_MOVE_M: f64 = 1e-4;
+
+/// The edge from a keyframe to the next, whose pose in the world is known with some information.
+pub fn successive_edge(
+    from: KeyframeId,
+    to: KeyframeId,
+    from_from_to: Se3,
+    information: &Matrix6<f64>,
+) -> Option<Edge> {
+    let way = way(&from_from_to);
+    let turn = (MIN_DRIFT_RAD + DRIFT_RAD_PER_M * way).powi(2);
+    let shift = (MIN_DRIFT_M + DRIFT * way).powi(2);
+    let variances = Vector6::new(turn, turn, turn, shift, shift, shift);
+    Some(Edge {
+        from,
+        to,
+        from_from_to,
+        information: with_variance(information, &variances)?,
+        kernel: RobustKernel::Quadratic,
+    })
+}
+
+/// Whether two revisits would move the present alike.
+pub fn agree(a: &Revisit, b: &Revisit, graph: &KeyframeGraph) -> bool {
+    let moved = |revisit: &Revisit| {
+        let (old, new) = (graph.pose(revisit.old)?, graph.pose(revisit.new)?);
+        Some(*old * revisit.old_from_new * new.inverse() * *graph.pose(b.new)?)
+    };
+    let (Some(by_a), Some(by_b)) = (moved(a), moved(b)) else {
+        return false;
+    };
+    let apart = by_a.inverse() * by_b;
+    apart.rotation.angle() <= MAX_TURN_RAD && apart.translation.norm() <= MAX_SHIFT_M
+}
+
+/// Closes loops.
+pub struct Correction {
+    /// The edges to add to the graph.
+    pub edges: Vec<Edge>,
+    /// The motions of keyframes, `new_world_from_old_world`; none if all are tiny.
+    pub moves: Vec<(KeyframeId, Se3)>,
+}
+
+/// What revisits mean for a graph; `None` if they contradict its other edges.
+pub fn correction(graph: &KeyframeGraph, revisits: [&Revisit; 2]) -> Option<Correction> {
+    let edges = |kernel: RobustKernel| {
+        revisits.map(|revisit| Edge {
+            from: revisit.old,
+            to: revisit.new,
+            from_from_to: revisit.old_from_new,
+            information: revisit.information,
+            kernel,
+        })
+    };
+    // A robust edge far from its minimum has no pull. So loops are closed first, and then asked
+    // whether they fit.
+    let closed = optimized(graph, &edges(RobustKernel::Quadratic))?.0;
+    let mut start = graph.clone();
+    start.move_keyframes(&closed);
+    let edges = edges(RobustKernel::DynamicCovarianceScaling {
+        threshold: THRESHOLD,
+    });
+    let (settled, weights) = optimized(&start, &edges)?;
+    let fits = weights
+        .iter()
+        .rev()
+        .take(edges.len())
+        .all(|weight| *weight >= MIN_WEIGHT);
+    fits.then_some(())?;
+    start.move_keyframes(&settled);
+    let moves: Vec<(KeyframeId, Se3)> = graph
+        .poses()
+        .filter_map(|(id, old)| Some((id, (*start.pose(id)? * old.inverse()).renormalized())))
+        .collect();
+    let largest = graph
+        .poses()
+        .filter_map(|(id, old)| Some((start.pose(id)?.translation - old.translation).norm()));
+    let is_worth_it = largest.fold(0.0, f64::max) >= MIN_MOVE_M;
+    Some(Correction {
+        edges: edges.to_vec(),
+        moves: if is_worth_it { moves } else { Vec::new() },
+    })
+}
+
+/// How keyframes move once edges are added, and the weights of all edges then.
+fn optimized(graph: &KeyframeGraph, edges: &[Edge]) -> Option<(Vec<(KeyframeId, Se3)>, Vec<f64>)> {
+    let mut graph = graph.clone();
+    for edge in edges {
+        graph.add_edge(edge.clone()).ok()?;
+    }
+    let optimized = graph.optimize(&OptimizeSettings::default()).ok()?;
+    Some((optimized.corrections, optimized.weights))
+}
