@@ -9,8 +9,8 @@ use std::path::{Path, PathBuf};
 
 use fgs_data::CameraFile;
 use fgs_slam::{
-    Execution, Holdout, KeyframeConfig, LoopConfig, MappingConfig, SeedingConfig, SlamConfig, SurfaceConfig,
-    TrackingConfig,
+    Execution, Holdout, KeyframeConfig, LoopConfig, MappingConfig, SeedingConfig, SlamConfig,
+    SurfaceConfig, TrackingConfig,
 };
 use serde::{Deserialize, Serialize};
 use toml::de::DeTable;

@@ -24,6 +24,7 @@ mod pattern;
 mod picture;
 mod render;
 mod room;
+mod round;
 mod sensor;
 mod sequence;
 mod shape;

@@ -34,10 +34,10 @@ const MIN_SHARE: f64 = 0.25;
 /// Surfaces of keyframes within this way of the old one belong to the same view of the place.
 const NEIGHBOURHOOD_M: f64 = 1.5;
 
-/// Errors that two views of a place have in common with themselves do not show in residuals: standard
-/// deviations.
-const FLOOR_RAD: f64 = 0.0025;
-const FLOOR_M: f64 = 0.003;
+/// Errors that residuals do not show, because neighbouring pixels share them: standard deviations of
+/// the turn (rad) and the shift (metres). On recordings of consumer sensors corners are off by this.
+const CORNERS_FLOOR: [f64; 2] = [0.01, 0.015];
+const SURFACES_FLOOR: [f64; 2] = [0.0025, 0.003];
 
 /// 99 % of the squared errors of a right prediction are smaller (six degrees of freedom).
 const MAX_CHI2: f64 = 16.8;
@@ -91,18 +91,32 @@ pub fn verify(
         old,
         new: new.id,
         old_from_new: relative.a_from_b,
-        information: with_floor(&relative.information)?,
+        information: with_floor(&relative.information, CORNERS_FLOOR)?,
     };
     let d = by_corners.drift(graph).unwrap_or(Se3::identity());
     let t = d.log();
-    eprintln!("LOOP   corners {} old {}: inliers {} drift {:.3} m {:.4} rad allowed {} chi2 {:.0}", new.id.0, old.0, relative.inliers, d.translation.norm(), d.rotation.angle(), ways.allows(old, &d), t.dot(&(by_corners.information*t)));
+    eprintln!(
+        "LOOP   corners {} old {}: inliers {} drift {:.3} m {:.4} rad allowed {} chi2 {:.0}",
+        new.id.0,
+        old.0,
+        relative.inliers,
+        d.translation.norm(),
+        d.rotation.angle(),
+        ways.allows(old, &d),
+        t.dot(&(by_corners.information * t))
+    );
     if relative.inliers < MIN_INLIERS || !by_corners.is_news(graph, ways) {
         return None;
     }
     let revisit = registered(new, &by_corners, graph, memory)?;
     let d = revisit.drift(graph).unwrap_or(Se3::identity());
     let t = d.log();
-    eprintln!("LOOP   registered: drift {:.3} m {:.4} rad chi2 {:.0}", d.translation.norm(), d.rotation.angle(), t.dot(&(revisit.information*t)));
+    eprintln!(
+        "LOOP   registered: drift {:.3} m {:.4} rad chi2 {:.0}",
+        d.translation.norm(),
+        d.rotation.angle(),
+        t.dot(&(revisit.information * t))
+    );
     if !revisit.is_news(graph, ways) {
         return None;
     }
@@ -152,7 +166,15 @@ fn registered(
     }
     let alignment = alignment?;
     let depth_m = surface.iter().map(|point| point.measured.z).sum::<f64>() / surface.len() as f64;
-    eprintln!("LOOP   gicp conv {} share {:.2} rms {:.4} of {:.2} corner chi2 {:.1} target {}", alignment.converged, alignment.inlier_share, alignment.rms_residual_m, depth_m, guess.drift_to(&(world_from_old.inverse() * pose)), target.len());
+    eprintln!(
+        "LOOP   gicp conv {} share {:.2} rms {:.4} of {:.2} corner chi2 {:.1} target {}",
+        alignment.converged,
+        alignment.inlier_share,
+        alignment.rms_residual_m,
+        depth_m,
+        guess.drift_to(&(world_from_old.inverse() * pose)),
+        target.len()
+    );
     let holds = alignment.converged
         && alignment.inlier_share >= MIN_INLIER_SHARE
         && alignment.rms_residual_m <= MAX_RESIDUAL * depth_m
@@ -160,7 +182,7 @@ fn registered(
     holds.then_some(())?;
     Some(Revisit {
         old_from_new: (world_from_old.inverse() * pose).renormalized(),
-        information: with_floor(&memory.registrar.information(&alignment))?,
+        information: with_floor(&memory.registrar.information(&alignment), SURFACES_FLOOR)?,
         ..guess.clone()
     })
 }
@@ -175,8 +197,8 @@ impl Revisit {
 
 /// Information that knows of errors which do not show in residuals; `None` if there is none in some
 /// direction.
-fn with_floor(information: &Matrix6<f64>) -> Option<Matrix6<f64>> {
-    let (turn, shift) = (FLOOR_RAD.powi(2), FLOOR_M.powi(2));
+fn with_floor(information: &Matrix6<f64>, floor: [f64; 2]) -> Option<Matrix6<f64>> {
+    let [turn, shift] = floor.map(|deviation| deviation.powi(2));
     with_variance(
         information,
         &Vector6::new(turn, turn, turn, shift, shift, shift),
