@@ -33,6 +33,7 @@ const COUNTS: [&str; 13] = [
     "iterations",
     "iterations_per_frame",
     "keyframes",
+    "loops",
     "num_gaussians",
     "map_bytes",
     "seed",

@@ -42,6 +42,8 @@ pub struct Metrics {
     pub iterations_per_frame: Option<f64>,
     /// Keyframes of both kinds.
     pub keyframes: usize,
+    /// How often the camera was found to be back at a place and drift was taken out.
+    pub loops: usize,
     /// Gaussians in the map.
     pub num_gaussians: usize,
     /// Size of the map's file; 0 if it could not be written.
@@ -122,12 +124,13 @@ impl Metrics {
         line(
             "frames",
             format!(
-                "{} ({} lost, {} damaged, {} dropped), {} keyframes",
+                "{} ({} lost, {} damaged, {} dropped), {} keyframes, {} loops",
                 self.frames,
                 self.frames_lost,
                 self.frames_damaged,
                 self.frames_dropped,
-                self.keyframes
+                self.keyframes,
+                self.loops
             ),
         );
         for (name, text) in self.scores.shown() {
@@ -189,6 +192,7 @@ mod tests {
   "iterations": 60,
   "iterations_per_frame": 10.0,
   "keyframes": 4,
+  "loops": 0,
   "num_gaussians": 1000,
   "map_bytes": 68000,
   "peak_rss_bytes": null,

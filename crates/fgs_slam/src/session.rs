@@ -38,6 +38,7 @@ pub struct Slam {
     graph: KeyframeGraph,
     /// `None` if loops are not to be closed.
     loops: Option<LoopCloser>,
+    closed_loops: usize,
     keyframes: Vec<(KeyframeId, KeyframeKind, FrameIndex)>,
     frames: Vec<RecordedFrame>,
     first: FrameIndex,
@@ -62,6 +63,8 @@ pub struct SlamOutput {
     pub keyframes: Vec<KeyframeRecord>,
     /// The keyframes' poses and how they hang together.
     pub graph: KeyframeGraph,
+    /// How often a loop was closed.
+    pub loops: usize,
     /// The map when the recording had ended.
     pub gaussians: Gaussians,
     /// The map after refinement; `None` if none was asked for or not a single step was taken.
@@ -160,6 +163,7 @@ impl Slam {
             events,
             graph: KeyframeGraph::new(),
             loops: config.loops.enabled.then(LoopCloser::default),
+            closed_loops: 0,
             keyframes: Vec::new(),
             frames: Vec::new(),
             first: FrameIndex(0),
@@ -330,6 +334,7 @@ impl Slam {
                     world_from_camera: pose(id),
                 })
                 .collect(),
+            loops: self.closed_loops,
             gaussians: mapped.gaussians,
             refined: mapped.refined,
             device_bytes: mapped.device_bytes,
@@ -400,6 +405,7 @@ impl Slam {
                 self.events.publish(|| SlamEvent::Loop { from, to });
             }
         }
+        self.closed_loops += 1;
         if correction.moves.is_empty() {
             return Ok(());
         }

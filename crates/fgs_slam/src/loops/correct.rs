@@ -118,3 +118,93 @@ fn optimized(graph: &KeyframeGraph, edges: &[Edge]) -> Option<(Vec<(KeyframeId, 
     let optimized = graph.optimize(&OptimizeSettings::default()).ok()?;
     Some((optimized.corrections, optimized.weights))
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const STEP_M: f64 = 0.2;
+
+    fn at(x: f64, y: f64) -> Se3 {
+        Se3::exp(&Vector6::new(0.0, 0.0, 0.0, x, y, 0.0))
+    }
+
+    /// A way of 20 keyframes ahead that seems to lead 1 % aside.
+    fn drifted() -> KeyframeGraph {
+        let mut graph = KeyframeGraph::new();
+        for i in 0..20 {
+            let ahead = STEP_M * f64::from(i);
+            let id = KeyframeId(i);
+            graph.add_keyframe(id, at(ahead, 0.01 * ahead));
+            if let Some(from) = i.checked_sub(1).map(KeyframeId) {
+                let step = at(STEP_M, 0.01 * STEP_M);
+                let edge = successive_edge(from, id, step, &(Matrix6::identity() * 1e6));
+                graph.add_edge(edge.unwrap()).unwrap();
+            }
+        }
+        graph
+    }
+
+    fn revisit(old: u32, new: u32, old_from_new: Se3) -> Revisit {
+        Revisit {
+            old: KeyframeId(old),
+            new: KeyframeId(new),
+            old_from_new,
+            information: Matrix6::identity() * 1e5,
+        }
+    }
+
+    /// As it would be without drift.
+    fn right(old: u32, new: u32) -> Revisit {
+        revisit(old, new, at(STEP_M * f64::from(new - old), 0.0))
+    }
+
+    #[test]
+    fn drift_is_spread_over_the_way() {
+        let graph = drifted();
+        let correction = correction(&graph, [&right(0, 18), &right(1, 19)]).unwrap();
+        let mut aside = vec![0.0];
+        for (id, motion) in &correction.moves[1..] {
+            let pose = *motion * *graph.pose(*id).unwrap();
+            aside.push(pose.translation.y - graph.pose(*id).unwrap().translation.y);
+        }
+        let whole = -0.01 * STEP_M * 19.0;
+        assert!((aside[19] - whole).abs() <= 0.1 * whole.abs(), "{aside:?}");
+        assert!(
+            aside.windows(2).all(|pair| pair[1] <= pair[0] + 1e-4),
+            "{aside:?}"
+        );
+        assert!((0.2..0.8).contains(&(aside[10] / whole)), "{aside:?}");
+    }
+
+    #[test]
+    fn loops_that_contradict_the_others_are_refused() {
+        let mut graph = drifted();
+        let first = correction(&graph, [&right(0, 18), &right(1, 19)]).unwrap();
+        graph.move_keyframes(&first.moves);
+        for edge in first.edges {
+            graph.add_edge(edge).unwrap();
+        }
+        let wrong = |old: u32, new: u32| revisit(old, new, at(STEP_M * f64::from(new - old), 0.5));
+        assert!(correction(&graph, [&wrong(0, 17), &wrong(1, 16)]).is_none());
+    }
+
+    #[test]
+    fn what_moves_nothing_is_only_noted() {
+        let graph = drifted();
+        let known = |old: u32, new: u32| {
+            let ahead = STEP_M * f64::from(new - old);
+            revisit(old, new, at(ahead, 0.01 * ahead))
+        };
+        let correction = correction(&graph, [&known(0, 18), &known(1, 19)]).unwrap();
+        assert!(correction.edges.len() == 2 && correction.moves.is_empty());
+    }
+
+    #[test]
+    fn revisits_agree_by_how_they_move_the_present() {
+        let graph = drifted();
+        assert!(agree(&right(0, 18), &right(3, 19), &graph));
+        let other = revisit(3, 19, at(STEP_M * 16.0, 0.1));
+        assert!(!agree(&right(0, 18), &other, &graph));
+    }
+}

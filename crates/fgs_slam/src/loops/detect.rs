@@ -123,3 +123,68 @@ pub fn candidates(
     found.extend(near.iter().take(NEAREST).map(|(_, id)| *id));
     found
 }
+
+#[cfg(test)]
+mod tests {
+    use fgs_graph::Edge;
+    use nalgebra::{Matrix6, Vector6};
+
+    use super::*;
+
+    /// Keyframes one metre apart, in a row.
+    fn row(count: u32) -> KeyframeGraph {
+        let mut graph = KeyframeGraph::new();
+        for i in 0..count {
+            let pose = Se3::exp(&Vector6::new(0.0, 0.0, 0.0, f64::from(i), 0.0, 0.0));
+            graph.add_keyframe(KeyframeId(i), pose);
+            if i > 0 {
+                tie(&mut graph, i - 1, i, RobustKernel::Quadratic);
+            }
+        }
+        graph
+    }
+
+    fn tie(graph: &mut KeyframeGraph, from: u32, to: u32, kernel: RobustKernel) {
+        let (from, to) = (KeyframeId(from), KeyframeId(to));
+        let from_from_to = graph.pose(from).unwrap().inverse() * *graph.pose(to).unwrap();
+        let edge = Edge {
+            from,
+            to,
+            from_from_to,
+            information: Matrix6::identity(),
+            kernel,
+        };
+        graph.add_edge(edge).unwrap();
+    }
+
+    #[test]
+    fn a_keyframe_is_old_when_the_way_since_is_long() {
+        let mut graph = row(10);
+        graph.add_keyframe(KeyframeId(10), Se3::identity());
+        let ways = Ways::from(&graph, KeyframeId(9));
+        assert!((ways.to(KeyframeId(0)) - 9.0).abs() <= 1e-9);
+        let old: Vec<u32> = (0..11).filter(|id| ways.is_old(KeyframeId(*id))).collect();
+        // Nothing is known of the one that nothing connects.
+        assert_eq!(old, [0, 1, 2, 3, 4, 5, 6]);
+    }
+
+    #[test]
+    fn a_loop_leaves_out_the_way_round() {
+        let mut graph = row(10);
+        let robust = RobustKernel::DynamicCovarianceScaling { threshold: 12.6 };
+        tie(&mut graph, 1, 9, robust);
+        let ways = Ways::from(&graph, KeyframeId(9));
+        assert!((ways.to(KeyframeId(0)) - 1.0).abs() <= 1e-9);
+        let old: Vec<u32> = (0..10).filter(|id| ways.is_old(KeyframeId(*id))).collect();
+        assert_eq!(old, [4, 5, 6]);
+    }
+
+    #[test]
+    fn drift_is_believed_up_to_a_share_of_the_way() {
+        let ways = Ways::from(&row(11), KeyframeId(10));
+        let shifted = |by| Se3::exp(&Vector6::new(0.0, 0.0, 0.0, 0.0, by, 0.0));
+        assert!(ways.allows(KeyframeId(0), &shifted(0.3)));
+        assert!(!ways.allows(KeyframeId(0), &shifted(0.5)));
+        assert!(!ways.allows(KeyframeId(9), &shifted(0.3)));
+    }
+}

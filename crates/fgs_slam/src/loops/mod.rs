@@ -9,6 +9,9 @@
 
 mod correct;
 mod detect;
+#[cfg(test)]
+#[allow(clippy::unwrap_used)]
+mod tests;
 mod verify;
 
 use fgs_geom::{KeyframeId, RgbdFrame};
@@ -67,25 +70,9 @@ impl LoopCloser {
             frame,
             pyramid: &pyramid,
         };
-        let candidates_dbg: Vec<(u32, f64)> =
-            candidates.iter().map(|c| (c.0, ways.to(*c))).collect();
-        let mut verified = candidates.into_iter();
-        eprintln!("LOOP kf {} candidates {:?}", id.0, candidates_dbg);
-        let revisit = verified.find_map(|old| verify(seen, old, &ways, graph, memory))?;
+        let revisit = verify(seen, &candidates, &ways, graph, memory)?;
         let confirmed = (self.waiting.iter()).find(|earlier| agree(earlier, &revisit, graph));
-        eprintln!(
-            "LOOP kf {} revisit {} drift {:?} confirmed {}",
-            id.0,
-            revisit.old.0,
-            revisit
-                .drift(graph)
-                .map(|d| (d.translation.norm(), d.rotation.angle())),
-            confirmed.is_some()
-        );
         let closed = confirmed.and_then(|earlier| correction(graph, [earlier, &revisit]));
-        if let Some(c) = &closed {
-            eprintln!("LOOP closed, {} moves", c.moves.len());
-        }
         if closed.is_some() {
             self.waiting.clear();
         } else {

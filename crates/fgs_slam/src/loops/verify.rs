@@ -42,6 +42,9 @@ const SURFACES_FLOOR: [f64; 2] = [0.0025, 0.003];
 /// 99 % of the squared errors of a right prediction are smaller (six degrees of freedom).
 const MAX_CHI2: f64 = 16.8;
 
+/// What corners alone find is worth a registration beyond this squared error.
+const MAYBE_NEWS: f64 = 4.0;
+
 /// A place seen again.
 #[derive(Clone, Debug)]
 pub struct Revisit {
@@ -62,10 +65,10 @@ impl Revisit {
 
     /// Whether the graph says otherwise, beyond the measurement's noise, but not more than drift can
     /// explain.
-    fn is_news(&self, graph: &KeyframeGraph, ways: &Ways) -> bool {
+    fn is_news(&self, graph: &KeyframeGraph, ways: &Ways, chi2: f64) -> bool {
         self.drift(graph).is_some_and(|drift| {
             let tangent = drift.log();
-            ways.allows(self.old, &drift) && tangent.dot(&(self.information * tangent)) > MAX_CHI2
+            ways.allows(self.old, &drift) && tangent.dot(&(self.information * tangent)) > chi2
         })
     }
 }
@@ -78,56 +81,46 @@ pub struct Seen<'a> {
     pub pyramid: &'a IntensityPyramid,
 }
 
-/// How a new keyframe lies to an old one, if it shows the same and the graph does not know it yet.
+/// How a new keyframe lies to one of some old ones, if it shows the same and the graph does not know it
+/// yet.
 pub fn verify(
     new: Seen,
-    old: KeyframeId,
+    candidates: &[KeyframeId],
     ways: &Ways,
     graph: &KeyframeGraph,
     memory: &Memory,
 ) -> Option<Revisit> {
-    let relative = memory.places.relative_pose(old, new.id)?;
-    let by_corners = Revisit {
+    let by_corners = (candidates.iter())
+        .filter_map(|old| recognized(new.id, *old, memory))
+        .filter(|(guess, _)| guess.is_news(graph, ways, MAYBE_NEWS))
+        .max_by_key(|(_, inliers)| *inliers)?;
+    let revisit = registered(new, &by_corners.0, graph, memory)?;
+    let is_same = revisit.is_news(graph, ways, MAX_CHI2) && looks_alike(new, &revisit, memory);
+    is_same.then_some(revisit)
+}
+
+/// How a new keyframe lies to an old one by their corners, and how many agree.
+fn recognized(new: KeyframeId, old: KeyframeId, memory: &Memory) -> Option<(Revisit, usize)> {
+    let relative = memory.places.relative_pose(old, new)?;
+    let revisit = Revisit {
         old,
-        new: new.id,
+        new,
         old_from_new: relative.a_from_b,
         information: with_floor(&relative.information, CORNERS_FLOOR)?,
     };
-    let d = by_corners.drift(graph).unwrap_or(Se3::identity());
-    let t = d.log();
-    eprintln!(
-        "LOOP   corners {} old {}: inliers {} drift {:.3} m {:.4} rad allowed {} chi2 {:.0}",
-        new.id.0,
-        old.0,
-        relative.inliers,
-        d.translation.norm(),
-        d.rotation.angle(),
-        ways.allows(old, &d),
-        t.dot(&(by_corners.information * t))
-    );
-    if relative.inliers < MIN_INLIERS || !by_corners.is_news(graph, ways) {
-        return None;
-    }
-    let revisit = registered(new, &by_corners, graph, memory)?;
-    let d = revisit.drift(graph).unwrap_or(Se3::identity());
-    let t = d.log();
-    eprintln!(
-        "LOOP   registered: drift {:.3} m {:.4} rad chi2 {:.0}",
-        d.translation.norm(),
-        d.rotation.angle(),
-        t.dot(&(revisit.information * t))
-    );
-    if !revisit.is_news(graph, ways) {
-        return None;
-    }
+    (relative.inliers >= MIN_INLIERS).then_some((revisit, relative.inliers))
+}
+
+/// Whether a new keyframe looks like the old one from where it is said to be.
+fn looks_alike(new: Seen, revisit: &Revisit, memory: &Memory) -> bool {
     let new_from_old = revisit.old_from_new.inverse();
     let depth_m = &new.frame.depth_m;
-    let seen = (memory.color).agreement_with(old, new.pyramid, depth_m, &new_from_old)?;
-    eprintln!("LOOP   {seen:?}");
-    let is_same = seen.points >= MIN_COMPARED
-        && seen.share >= MIN_SHARE
-        && seen.likeness - seen.seen_through >= MIN_SUPPORT;
-    is_same.then_some(revisit)
+    let seen = (memory.color).agreement_with(revisit.old, new.pyramid, depth_m, &new_from_old);
+    seen.is_some_and(|seen| {
+        seen.points >= MIN_COMPARED
+            && seen.share >= MIN_SHARE
+            && seen.likeness - seen.seen_through >= MIN_SUPPORT
+    })
 }
 
 /// Registers a new keyframe's surfaces with those around the old one.
@@ -166,15 +159,6 @@ fn registered(
     }
     let alignment = alignment?;
     let depth_m = surface.iter().map(|point| point.measured.z).sum::<f64>() / surface.len() as f64;
-    eprintln!(
-        "LOOP   gicp conv {} share {:.2} rms {:.4} of {:.2} corner chi2 {:.1} target {}",
-        alignment.converged,
-        alignment.inlier_share,
-        alignment.rms_residual_m,
-        depth_m,
-        guess.drift_to(&(world_from_old.inverse() * pose)),
-        target.len()
-    );
     let holds = alignment.converged
         && alignment.inlier_share >= MIN_INLIER_SHARE
         && alignment.rms_residual_m <= MAX_RESIDUAL * depth_m
