@@ -12,9 +12,9 @@ use fgs_geom::{RgbdFrame, Se3};
 use fgs_slam::{Execution, Slam, SlamConfig, SlamEvent, SlamOutput};
 use fgs_synth::{SensorModel, Sequence, kinect_camera};
 
-/// Once round, and as far again as it takes to see that the camera is back.
+/// Once round, and on until it is seen that the camera is back.
 const ROUND: usize = 300;
-const FRAMES: usize = ROUND + 30;
+const FRAMES: usize = ROUND + 70;
 
 fn sequence() -> Sequence {
     let camera = kinect_camera(240, 180).unwrap();

@@ -28,7 +28,7 @@ const MAX_RESIDUAL: f64 = 0.01;
 const MIN_SUPPORT: f64 = 0.5;
 
 /// So many of the old keyframe's points must be in view, and this share of them.
-const MIN_COMPARED: usize = 50;
+const MIN_COMPARED: usize = 25;
 const MIN_SHARE: f64 = 0.25;
 
 /// Surfaces of keyframes within this way of the old one belong to the same view of the place.
