@@ -37,7 +37,7 @@ const NEIGHBOURHOOD_M: f64 = 1.5;
 /// Errors that residuals do not show, because neighbouring pixels share them: standard deviations of
 /// the turn (rad) and the shift (metres). On recordings of consumer sensors corners are off by this.
 const CORNERS_FLOOR: [f64; 2] = [0.01, 0.015];
-const SURFACES_FLOOR: [f64; 2] = [0.0025, 0.003];
+const SURFACES_FLOOR: [f64; 2] = [0.005, 0.006];
 
 /// 99 % of the squared errors of a right prediction are smaller (six degrees of freedom).
 const MAX_CHI2: f64 = 16.8;
