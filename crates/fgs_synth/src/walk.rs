@@ -59,7 +59,7 @@ pub(crate) fn through_room(room: usize, share: f64) -> ([f64; 2], f64) {
     // 0 with zero slope at the doorways, 1 beside the middle.
     let inside = (PI * share).sin().powi(2);
     // Passes the middles of successive rooms on alternating sides.
-    let side = if room % 2 == 0 { 1.0 } else { -1.0 };
+    let side = if room.is_multiple_of(2) { 1.0 } else { -1.0 };
     (
         [share - 0.5, -side * BEND_M * inside],
         side * SWEEP * inside,

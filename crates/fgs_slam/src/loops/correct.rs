@@ -1,7 +1,7 @@
 //! What the graph makes of loops: how keyframes should move.
 
 use fgs_geom::{KeyframeId, Se3};
-use fgs_graph::{Edge, KeyframeGraph, OptimizeSettings, RobustKernel};
+use fgs_graph::{Edge, KeyframeGraph, OptimizeSettings, Optimized, RobustKernel};
 use nalgebra::{Matrix6, Vector6};
 
 use super::detect::way;
@@ -81,20 +81,21 @@ pub fn correction(graph: &KeyframeGraph, revisits: [&Revisit; 2]) -> Option<Corr
     };
     // A robust edge far from its minimum has no pull. So loops are closed first, and then asked
     // whether they fit.
-    let closed = optimized(graph, &edges(RobustKernel::Quadratic))?.0;
+    let closed = optimized(graph, &edges(RobustKernel::Quadratic))?;
     let mut start = graph.clone();
-    start.move_keyframes(&closed);
+    start.move_keyframes(&closed.corrections);
     let edges = edges(RobustKernel::DynamicCovarianceScaling {
         threshold: THRESHOLD,
     });
-    let (settled, weights) = optimized(&start, &edges)?;
-    let fits = weights
+    let settled = optimized(&start, &edges)?;
+    let fits = settled
+        .weights
         .iter()
         .rev()
         .take(edges.len())
         .all(|weight| *weight >= MIN_WEIGHT);
     fits.then_some(())?;
-    start.move_keyframes(&settled);
+    start.move_keyframes(&settled.corrections);
     let moves: Vec<(KeyframeId, Se3)> = graph
         .poses()
         .filter_map(|(id, old)| Some((id, (*start.pose(id)? * old.inverse()).renormalized())))
@@ -109,14 +110,13 @@ pub fn correction(graph: &KeyframeGraph, revisits: [&Revisit; 2]) -> Option<Corr
     })
 }
 
-/// How keyframes move once edges are added, and the weights of all edges then.
-fn optimized(graph: &KeyframeGraph, edges: &[Edge]) -> Option<(Vec<(KeyframeId, Se3)>, Vec<f64>)> {
+/// What a graph's poses become once edges are added.
+fn optimized(graph: &KeyframeGraph, edges: &[Edge]) -> Option<Optimized> {
     let mut graph = graph.clone();
     for edge in edges {
         graph.add_edge(edge.clone()).ok()?;
     }
-    let optimized = graph.optimize(&OptimizeSettings::default()).ok()?;
-    Some((optimized.corrections, optimized.weights))
+    graph.optimize(&OptimizeSettings::default()).ok()
 }
 
 #[cfg(test)]
