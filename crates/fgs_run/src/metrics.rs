@@ -219,7 +219,7 @@ mod tests {
         assert_eq!(again, SAVED);
         assert_eq!(
             metrics.table(),
-            "  frames     6 (2 lost, 3 damaged, 1 dropped), 4 keyframes\n\
+            "  frames     6 (2 lost, 3 damaged, 1 dropped), 4 keyframes, 0 loops\n\
              \x20 ATE        1.250 cm rmse, 1.000 cm mean\n\
              \x20 PSNR       25.50 dB where depth is measured, 24.00 dB everywhere, 26.50 dB with exposure\n\
              \x20 SSIM       0.8750\n\
