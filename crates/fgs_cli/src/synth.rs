@@ -23,6 +23,7 @@ Examples:
   fgs synth recordings/room
   fgs synth recordings/room --layout replica --frames 100 --size 320x240 --noise none --seed 3
   fgs synth recordings/house --rooms 7 --frames 2100
+  fgs synth recordings/ring --rooms 7 --frames 2250 --round
   fgs run recordings/room --eval")]
 pub struct SynthArgs {
     /// Folder to write; must not exist
@@ -36,6 +37,9 @@ pub struct SynthArgs {
     /// How many rooms in a row to walk through
     #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u8).range(1..=20))]
     rooms: u8,
+    /// Walk round a ring of rooms, five at least, back to where it began
+    #[arg(long)]
+    round: bool,
     /// Number of frames; 300 go once round a room, and 300 per room make a calm walk through several
     #[arg(long, default_value_t = 300, value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
     frames: u32,
@@ -76,7 +80,15 @@ pub fn run(args: &SynthArgs) -> anyhow::Result<u8> {
         Noise::Kinect => SensorModel::kinect(),
         Noise::None => SensorModel::exact(),
     };
-    let sequence = Sequence::through_rooms(
+    if args.round && args.rooms < 5 {
+        return Err(UsageError("--round: fewer than five rooms make no ring".into()).into());
+    }
+    let make = if args.round {
+        Sequence::around_rooms
+    } else {
+        Sequence::through_rooms
+    };
+    let sequence = make(
         args.seed,
         args.rooms.into(),
         args.frames as usize,

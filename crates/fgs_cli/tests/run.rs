@@ -34,6 +34,7 @@ const COUNTS: [&str; 14] = [
     "iterations",
     "iterations_per_frame",
     "keyframes",
+    "loops",
     "num_gaussians",
     "map_bytes",
     "seed",

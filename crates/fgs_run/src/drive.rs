@@ -144,6 +144,7 @@ fn metrics(
         iterations: output.timings.steps,
         iterations_per_frame: per_frame(output.timings.steps as f64),
         keyframes: output.keyframes.len(),
+        loops: output.loops,
         num_gaussians: output.gaussians.len(),
         map_bytes: 0,
         peak_rss_bytes: peak_rss_bytes(),

@@ -45,6 +45,8 @@ pub struct Metrics {
     pub iterations_per_frame: Option<f64>,
     /// Keyframes of both kinds.
     pub keyframes: usize,
+    /// How often the camera was found to be back at a place and drift was taken out.
+    pub loops: usize,
     /// Gaussians in the map.
     pub num_gaussians: usize,
     /// Size of the map's file; 0 if it could not be written.
@@ -125,13 +127,14 @@ impl Metrics {
         line(
             "frames",
             format!(
-                "{} ({} lost, {} weak, {} damaged, {} dropped), {} keyframes",
+                "{} ({} lost, {} weak, {} damaged, {} dropped), {} keyframes, {} loops",
                 self.frames,
                 self.frames_lost,
                 self.frames_weak,
                 self.frames_damaged,
                 self.frames_dropped,
-                self.keyframes
+                self.keyframes,
+                self.loops
             ),
         );
         for (name, text) in self.scores.shown() {
@@ -194,6 +197,7 @@ mod tests {
   "iterations": 60,
   "iterations_per_frame": 10.0,
   "keyframes": 4,
+  "loops": 0,
   "num_gaussians": 1000,
   "map_bytes": 68000,
   "peak_rss_bytes": null,
@@ -220,7 +224,7 @@ mod tests {
         assert_eq!(again, SAVED);
         assert_eq!(
             metrics.table(),
-            "  frames     6 (2 lost, 1 weak, 3 damaged, 1 dropped), 4 keyframes\n\
+            "  frames     6 (2 lost, 1 weak, 3 damaged, 1 dropped), 4 keyframes, 0 loops\n\
              \x20 ATE        1.250 cm rmse, 1.000 cm mean\n\
              \x20 PSNR       25.50 dB where depth is measured, 24.00 dB everywhere, 26.50 dB with exposure\n\
              \x20 SSIM       0.8750\n\

@@ -9,8 +9,8 @@ use std::path::{Path, PathBuf};
 
 use fgs_data::CameraFile;
 use fgs_slam::{
-    Execution, Holdout, KeyframeConfig, MappingConfig, SeedingConfig, SlamConfig, SurfaceConfig,
-    TrackingConfig,
+    Execution, Holdout, KeyframeConfig, LoopConfig, MappingConfig, SeedingConfig, SlamConfig,
+    SurfaceConfig, TrackingConfig,
 };
 use serde::{Deserialize, Serialize};
 use toml::de::DeTable;
@@ -36,6 +36,8 @@ pub struct Settings {
     pub surface: SurfaceConfig,
     /// See [`SlamConfig`].
     pub keyframes: KeyframeConfig,
+    /// See [`SlamConfig::loops`].
+    pub loops: LoopConfig,
     /// See [`SlamConfig`].
     pub seeding: SeedingConfig,
     /// See [`SlamConfig`].
@@ -90,6 +92,7 @@ impl Default for Settings {
             tracking,
             surface,
             keyframes,
+            loops,
             seeding,
             mapping,
         } = SlamConfig::default();
@@ -98,6 +101,7 @@ impl Default for Settings {
             tracking,
             surface,
             keyframes,
+            loops,
             seeding,
             mapping,
             camera: None,
@@ -155,6 +159,7 @@ impl Settings {
             tracking: self.tracking.clone(),
             surface: self.surface.clone(),
             keyframes: self.keyframes.clone(),
+            loops: self.loops.clone(),
             seeding: self.seeding.clone(),
             mapping: self.mapping.clone(),
         }

@@ -1,11 +1,11 @@
 //! Colour in tracking: a frame was taken where keyframes look as bright as the frame does. Where
 //! geometry slides (a wall with posters) colour holds, and the map's colours stay sharp.
 
-use std::collections::VecDeque;
+use std::collections::{BTreeMap, VecDeque};
 
 use fgs_direct::{
     Agreement, IntensityPyramid, PhotometricAlignment, PosePrior, PosedReference, Reference,
-    agreement, align_with_keyframes, contrast,
+    ReferencePoint, agreement, align_with_keyframes, contrast,
 };
 use fgs_geom::{Image, KeyframeId, RgbdFrame, Se3};
 
@@ -38,6 +38,8 @@ const MIN_OVERLAP: f64 = 0.6;
 pub struct ColorAligner {
     /// In the order they came.
     keyframes: VecDeque<ReferenceKeyframe>,
+    /// The points by which a frame is compared with any keyframe, however old.
+    compared: BTreeMap<KeyframeId, Vec<ReferencePoint>>,
 }
 
 struct ReferenceKeyframe {
@@ -110,6 +112,24 @@ impl ColorAligner {
             .max_by(|a, b| a.share.total_cmp(&b.share))
     }
 
+    /// How well a frame agrees with a keyframe, given their relative pose; `None` if that is unknown.
+    pub fn agreement_with(
+        &self,
+        keyframe: KeyframeId,
+        pyramid: &IntensityPyramid,
+        depth_m: &Image<f32>,
+        camera_from_keyframe: &Se3,
+    ) -> Option<Agreement> {
+        let image = &pyramid.levels[AGREEMENT_LEVEL.min(pyramid.levels.len() - 1)];
+        Some(agreement(
+            image,
+            depth_m,
+            contrast(pyramid.levels.last()?),
+            self.compared.get(&keyframe)?,
+            camera_from_keyframe,
+        ))
+    }
+
     /// Whether a camera hardly sees what the newest keyframe shows.
     pub fn has_left_newest(&self, pyramid: &IntensityPyramid, world_from_camera: &Se3) -> bool {
         let newest = self.keyframes.back();
@@ -135,10 +155,13 @@ impl ColorAligner {
     /// Takes a keyframe; its depth image must be registered to its colour image.
     pub fn add(&mut self, keyframe: &Keyframe, pyramid: &IntensityPyramid) {
         let frame = &keyframe.frame;
+        let reference = Reference::new(pyramid, &frame.depth_m, &frame.camera);
+        let level = AGREEMENT_LEVEL.min(reference.levels.len() - 1);
+        (self.compared).insert(keyframe.id, reference.levels[level].clone());
         self.keyframes.push_back(ReferenceKeyframe {
             id: keyframe.id,
             world_from_camera: keyframe.world_from_camera,
-            reference: Reference::new(pyramid, &frame.depth_m, &frame.camera),
+            reference,
         });
         if self.keyframes.len() > MAX_KEYFRAMES {
             self.keyframes.pop_front();

@@ -29,6 +29,14 @@ pub enum SlamEvent {
     },
     /// Keyframes have new poses `world_from_camera`; the map has moved with them.
     Correction(Arc<[(KeyframeId, Se3)]>),
+    /// The camera is back where it was: keyframe `to` shows what the older `from` shows. What drifted
+    /// between them is taken out; a [`Correction`](Self::Correction) follows.
+    Loop {
+        /// The older keyframe.
+        from: KeyframeId,
+        /// The newer one.
+        to: KeyframeId,
+    },
     /// The map was refined by one more step, after the last frame.
     Refined {
         /// Steps taken so far.

@@ -14,6 +14,7 @@ pub mod frequency;
 mod holdout;
 mod inferred_depth;
 mod keyframes;
+mod loops;
 mod map_alignment;
 mod mapper;
 mod missing;
@@ -33,7 +34,8 @@ mod view_choice;
 mod weak_directions;
 
 pub use config::{
-    KeyframeConfig, MappingConfig, SeedingConfig, SlamConfig, SurfaceConfig, TrackingConfig,
+    KeyframeConfig, LoopConfig, MappingConfig, SeedingConfig, SlamConfig, SurfaceConfig,
+    TrackingConfig,
 };
 pub use event::{SlamEvent, Subscription};
 pub use fgs_splat::SettingError;

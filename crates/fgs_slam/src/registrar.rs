@@ -197,7 +197,7 @@ impl Registrar {
                 &start.world_from_depth,
                 [&held, &start.information],
             ),
-            information: Some(trust * alignment.information(SENSOR_NOISE_M)),
+            information: Some(self.information(alignment)),
             held,
         }
     }
@@ -293,6 +293,12 @@ impl Registrar {
             .par_iter()
             .map(|point| self.disk(point).transformed(&middle_from_rows[point.v]))
             .collect()
+    }
+
+    /// What a registration is worth beside other measurements: inverse covariance, tangent
+    /// `[omega, v]` in the axes of what was registered.
+    pub fn information(&self, alignment: &Alignment) -> Matrix6<f64> {
+        self.config.depth_trust * alignment.information(SENSOR_NOISE_M)
     }
 
     /// A point as a disk in the depth camera's axes.

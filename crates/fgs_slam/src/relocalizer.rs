@@ -3,9 +3,9 @@
 
 use std::sync::Arc;
 
-use fgs_features::{Features, match_features, relative_pose};
+use fgs_features::{Features, RelativePose, match_features, relative_pose};
 use fgs_geom::{KeyframeId, RgbdFrame, Se3};
-use fgs_place::{PlaceDescriptor, PlaceIndex};
+use fgs_place::{PlaceDescriptor, PlaceIndex, Similar};
 use nalgebra::Matrix6;
 
 use crate::keyframes::Keyframe;
@@ -20,6 +20,8 @@ const SEED: u64 = 1;
 #[derive(Default)]
 pub struct Relocalizer {
     places: PlaceIndex,
+    /// What the newest keyframe shows.
+    newest_place: Option<PlaceDescriptor>,
     /// In the order they came, which is that of their ids.
     keyframes: Vec<KnownPlace>,
     /// The last frame with a trusted pose.
@@ -46,7 +48,9 @@ impl Relocalizer {
     /// A keyframe joined the map.
     pub fn add(&mut self, keyframe: &Keyframe) {
         let frame = &keyframe.frame;
-        self.places.add(keyframe.id, &PlaceDescriptor::new(frame));
+        let place = PlaceDescriptor::new(frame);
+        self.places.add(keyframe.id, &place);
+        self.newest_place = Some(place);
         self.keyframes.push(KnownPlace {
             id: keyframe.id,
             world_from_camera: keyframe.world_from_camera,
@@ -77,6 +81,26 @@ impl Relocalizer {
             self.keyframes.iter().find(of_id)?.guess(features)
         });
         sorted(guesses)
+    }
+
+    /// All keyframes, the one most like the newest first.
+    pub fn similar_to_newest(&self) -> Vec<Similar> {
+        let newest = self.newest_place.as_ref();
+        newest.map_or_else(Vec::new, |newest| {
+            self.places.most_similar(newest, self.keyframes.len())
+        })
+    }
+
+    /// The pose of keyframe `b` in the axes of `a`, from the corners that they have in common.
+    pub fn relative_pose(&self, a: KeyframeId, b: KeyframeId) -> Option<RelativePose> {
+        let features = |id| {
+            let at = self
+                .keyframes
+                .binary_search_by_key(&id, |keyframe| keyframe.id);
+            Some(&self.keyframes[at.ok()?].features)
+        };
+        let (a, b) = (features(a)?, features(b)?);
+        relative_pose(a, b, &match_features(a, b), SEED)
     }
 
     /// Keyframes were moved, each by its `new_world_from_old_world`.

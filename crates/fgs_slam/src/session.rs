@@ -6,7 +6,7 @@ use std::sync::atomic::AtomicBool;
 use std::time::{Duration, Instant};
 
 use fgs_geom::{Camera, FrameError, FrameIndex, KeyframeId, RgbdFrame, Se3};
-use fgs_graph::{Edge, KeyframeGraph, RobustKernel};
+use fgs_graph::KeyframeGraph;
 use fgs_splat::{GaussianModel, Gaussians, SettingError};
 use rayon::ThreadPool;
 
@@ -15,6 +15,7 @@ use crate::event::{EventHub, SlamEvent, Subscription};
 use crate::frame_result::{FrameResult, FrameStatus};
 use crate::holdout::Holdout;
 use crate::keyframes::{Admission, FrameWork, Keyframe, KeyframeKind};
+use crate::loops::{LoopCloser, successive_edge};
 use crate::mapper::MapperError;
 use crate::refinement::RefinedMap;
 use crate::system::{self, Execution, MapStatus, MapperGone, Mapping, Moves};
@@ -35,6 +36,9 @@ pub struct Slam {
     events: EventHub,
     /// The one owner of keyframe poses.
     graph: KeyframeGraph,
+    /// `None` if loops are not to be closed.
+    loops: Option<LoopCloser>,
+    closed_loops: usize,
     keyframes: Vec<(KeyframeId, KeyframeKind, FrameIndex)>,
     frames: Vec<RecordedFrame>,
     first: FrameIndex,
@@ -59,6 +63,8 @@ pub struct SlamOutput {
     pub keyframes: Vec<KeyframeRecord>,
     /// The keyframes' poses and how they hang together.
     pub graph: KeyframeGraph,
+    /// How often a loop was closed.
+    pub loops: usize,
     /// The map when the recording had ended.
     pub gaussians: Gaussians,
     /// The map after refinement; `None` if none was asked for or not a single step was taken.
@@ -156,6 +162,8 @@ impl Slam {
             map,
             events,
             graph: KeyframeGraph::new(),
+            loops: config.loops.enabled.then(LoopCloser::default),
+            closed_loops: 0,
             keyframes: Vec::new(),
             frames: Vec::new(),
             first: FrameIndex(0),
@@ -206,7 +214,7 @@ impl Slam {
         let keyframe = match &tracked.work {
             Some(FrameWork::Keyframe(keyframe)) => {
                 self.add_keyframe(keyframe);
-                Some((keyframe.id, keyframe.kind))
+                Some((keyframe.id, keyframe.kind, Arc::clone(&keyframe.frame)))
             }
             _ => None,
         };
@@ -219,11 +227,14 @@ impl Slam {
                 Verdict::Lost => FrameStatus::Lost,
             },
             world_from_camera: tracked.world_from_camera,
-            keyframe,
+            keyframe: keyframe.as_ref().map(|(id, kind, _)| (*id, *kind)),
             tracking: Some(tracked.quality),
         };
         self.record(result.clone(), None);
         self.mapping.after_frame(tracked.work)?;
+        if let Some((id, _, frame)) = keyframe {
+            self.close_loop(id, &frame)?;
+        }
         Ok(result)
     }
 
@@ -323,6 +334,7 @@ impl Slam {
                     world_from_camera: pose(id),
                 })
                 .collect(),
+            loops: self.closed_loops,
             gaussians: mapped.gaussians,
             refined: mapped.refined,
             device_bytes: mapped.device_bytes,
@@ -367,18 +379,37 @@ impl Slam {
             && let Some((previous, ..)) = self.keyframes.last()
             && let Some(world_from_previous) = self.graph.pose(*previous)
         {
+            let motion = world_from_previous.inverse() * pose;
             // An information that is not positive definite makes no edge: the keyframe then starts
             // a part of its own.
-            let _ = self.graph.add_edge(Edge {
-                from: *previous,
-                to: keyframe.id,
-                from_from_to: world_from_previous.inverse() * pose,
-                information,
-                kernel: RobustKernel::Quadratic,
-            });
+            let edge = successive_edge(*previous, keyframe.id, motion, &information);
+            let _ = edge.map(|edge| self.graph.add_edge(edge));
         }
         self.keyframes
             .push((keyframe.id, keyframe.kind, keyframe.frame.index));
+    }
+
+    /// Takes out what has drifted since the camera was last where a new keyframe finds it.
+    fn close_loop(&mut self, id: KeyframeId, frame: &RgbdFrame) -> Result<(), SlamError> {
+        let Some(loops) = &mut self.loops else {
+            return Ok(());
+        };
+        take_moved(&self.map, &mut self.graph, &mut self.tracker, &self.events);
+        let memory = self.tracker.memory();
+        let Some(correction) = loops.close(id, frame, &self.graph, &memory) else {
+            return Ok(());
+        };
+        for edge in correction.edges {
+            let (from, to) = (edge.from, edge.to);
+            if self.graph.add_edge(edge).is_ok() {
+                self.events.publish(|| SlamEvent::Loop { from, to });
+            }
+        }
+        self.closed_loops += 1;
+        if correction.moves.is_empty() {
+            return Ok(());
+        }
+        self.move_keyframes(&correction.moves)
     }
 
     fn next_index(&self) -> FrameIndex {

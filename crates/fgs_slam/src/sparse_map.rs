@@ -35,6 +35,19 @@ impl SparseMap {
         &self.points
     }
 
+    /// The points, with their ids, that are anchored to one of some keyframes.
+    pub fn anchored(
+        &self,
+        is_wanted: impl Fn(KeyframeId) -> bool,
+    ) -> impl Iterator<Item = (u64, &Point)> {
+        let ends = self.anchors.iter().skip(1).map(|(first, _)| *first);
+        let ends = ends.chain([self.next_id]);
+        (self.anchors.iter().zip(ends))
+            .filter(move |((_, anchor), _)| is_wanted(*anchor))
+            .flat_map(|((first, _), end)| (*first..end).map(u64::from))
+            .filter_map(|id| Some((id, self.points.get(id)?)))
+    }
+
     /// Lets those of a keyframe's points (world axes) join that are further than `spacing_m` from
     /// every point so far; their positions in the input, and their ids.
     pub fn extend(

@@ -22,6 +22,7 @@ use crate::color_aligner::ColorAligner;
 use crate::config::{KeyframeConfig, SlamConfig};
 use crate::frame_result::TrackingQuality;
 use crate::keyframes::{Admission, FrameWork, Keyframe, KeyframeKind, KeyframePolicy, NewPoint};
+use crate::loops::Memory;
 use crate::map_alignment::FrameToAlign;
 use crate::motion::MotionModel;
 use crate::registrar::{Attempt, Known, Located, Measured, Registrar, Start, shared};
@@ -171,6 +172,17 @@ impl Tracker {
             if let Some((_, located)) = &mut self.unmapped {
                 located.world_from_camera = *new_from_old * located.world_from_camera;
             }
+        }
+    }
+
+    /// What is remembered of all keyframes, to recognise places by.
+    pub fn memory(&self) -> Memory<'_> {
+        Memory {
+            places: &self.relocalizer,
+            color: &self.color,
+            map: &self.map,
+            grid: &self.grid,
+            registrar: &self.registrar,
         }
     }
 

@@ -199,8 +199,12 @@ fn successive_keyframes_are_tied_by_how_well_they_were_registered() {
         assert!(edge.chi2(&pair[0].world_from_camera, &pair[1].world_from_camera) <= 1e-9);
         let covariance = edge.information.try_inverse().unwrap();
         let sigma_m = covariance.fixed_view::<3, 3>(3, 3).trace().sqrt();
-        // Thousands of exact points: between a hundredth and a few millimetres.
-        assert!((1e-5..3e-3).contains(&sigma_m), "{sigma_m} m");
+        // Thousands of exact points: up to a few millimetres. Drift: 1 mm and 1 % of the way on each
+        // axis, where a radian counts as a metre.
+        let motion = edge.from_from_to;
+        let way = motion.translation.norm() + motion.rotation.angle();
+        let drift_m = 3.0_f64.sqrt() * (1e-3 + 0.01 * way);
+        assert!((drift_m..drift_m + 3e-3).contains(&sigma_m), "{sigma_m} m");
     }
     let optimized = output.graph.optimize(&OptimizeSettings::default()).unwrap();
     let still = |(_, motion): &(KeyframeId, Se3)| distance(motion, &Se3::identity()) <= 1e-9;

@@ -136,6 +136,26 @@ pub(crate) fn furnish(b: &mut Builder, plan: &Plan) {
     middle(b, plan, wood);
 }
 
+/// Closes the wedge between the outer halves of two rooms' walls that meet in a doorway, each turned by
+/// `half_turn` (rad) from the doorway's frame.
+pub(crate) fn close_wedge(
+    b: &mut Builder,
+    doorway: Place,
+    depth_m: f64,
+    height_m: f64,
+    half_turn: f64,
+) {
+    let (sin, cos) = half_turn.sin_cos();
+    let (wide, near) = (depth_m * sin + 0.5, depth_m * cos);
+    let white = Pattern::Paint(srgb(0xe9e7e2));
+    let far = -near - 2.0 * WALL_M;
+    b.block(doorway, [-wide, far, 0.0], [wide, -near, height_m], white);
+    // A little below the rooms' own floors and above their ceilings.
+    b.block(doorway, [-wide, far, -WALL_M], [wide, 0.0, -0.01], white);
+    let top = height_m + 0.01;
+    b.block(doorway, [-wide, far, top], [wide, 0.0, top + WALL_M], white);
+}
+
 /// The inner side of a wall.
 struct Wall {
     /// Frame at its left end (seen from behind the wall), with y into the room.

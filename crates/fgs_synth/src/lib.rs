@@ -24,6 +24,7 @@ mod pattern;
 mod picture;
 mod render;
 mod room;
+mod round;
 mod scenario;
 mod sensor;
 mod sequence;

@@ -2,6 +2,8 @@
 //!
 //! Surfaces are Lambertian, so a point has the same radiance from every viewpoint.
 
+use std::f64::consts::TAU;
+
 use nalgebra::Vector3;
 use rand::SeedableRng;
 use rand_pcg::Pcg64Mcg;
@@ -45,6 +47,23 @@ pub struct Room {
     light: LightMap,
 }
 
+/// How the rooms of a ring lie: with their middles on the sides of a regular polygon around the origin,
+/// and their doorways at its corners.
+pub(crate) struct Ring {
+    /// How many rooms.
+    pub rooms: usize,
+    /// From doorway to doorway, metres.
+    pub side_m: f64,
+}
+
+impl Ring {
+    /// The middle of the room whose x axis has this yaw.
+    pub fn middle(&self, yaw: f64) -> [f64; 2] {
+        let radius = 0.5 * self.side_m / (0.5 * TAU / self.rooms as f64).tan();
+        [radius * yaw.sin(), -radius * yaw.cos()]
+    }
+}
+
 impl Room {
     /// The room generated from a seed. Rooms of different seeds differ in size, furniture,
     /// materials and light, those of consecutive seeds also in kind (living room, study, dining
@@ -84,6 +103,41 @@ impl Room {
     pub(crate) fn lit(mut self, seed: u64) -> Self {
         self.light = LightMap::bake(&self, seed);
         self
+    }
+
+    /// A ring of `count` rooms, generated from consecutive seeds starting at `seed`, of one size. Open
+    /// doorways join each with the next.
+    pub(crate) fn ring(seed: u64, count: usize) -> (Self, Ring) {
+        let (mut room, ring) = Self::unlit_ring(seed, count);
+        room.light = LightMap::bake(&room, seed);
+        (room, ring)
+    }
+
+    pub(crate) fn unlit_ring(seed: u64, count: usize) -> (Self, Ring) {
+        let size = Vector3::new(5.4, 4.9, 2.6);
+        let ring = Ring {
+            rooms: count,
+            side_m: size.x + WALL_M,
+        };
+        let mut builder = Builder::new(Pcg64Mcg::seed_from_u64(seed));
+        let turn = TAU / count as f64;
+        for i in 0..count {
+            let seed = seed.wrapping_add(i as u64);
+            builder.rng = Pcg64Mcg::seed_from_u64(seed);
+            let yaw = turn * i as f64;
+            let [x, y] = ring.middle(yaw);
+            let middle = Place::new([x, y, 0.0], yaw);
+            let plan = Plan {
+                middle,
+                size,
+                kind: seed % 3,
+                doorways: [true, true],
+            };
+            layout::furnish(&mut builder, &plan);
+            let doorway = middle.at([0.5 * ring.side_m, 0.0, 0.0], 0.5 * turn);
+            layout::close_wedge(&mut builder, doorway, 0.5 * size.y, size.z, 0.5 * turn);
+        }
+        (Self::unlit(builder, size), ring)
     }
 
     pub(crate) fn unlit_row(seed: u64, count: usize) -> Self {

@@ -7,6 +7,7 @@ use fgs_geom::{Camera, CameraError, FrameIndex, Intrinsics, RgbdFrame, Se3, View
 use crate::path::{CameraPath, FRAMES_PER_LOOP};
 use crate::render::{Picture, render, render_moving};
 use crate::room::Room;
+use crate::round::Round;
 use crate::sensor::SensorModel;
 use crate::walk::Walk;
 
@@ -48,6 +49,7 @@ pub fn kinect_camera(width: usize, height: usize) -> Result<Camera, CameraError>
 enum Way {
     Loop(CameraPath),
     Walk(Walk),
+    Round(Round),
 }
 
 /// A sequence of any number of frames, rendered on demand.
@@ -95,6 +97,30 @@ impl Sequence {
             seed,
             len,
             way: Arc::new(Way::Walk(Walk::new(seed, room.thresholds()))),
+            room: Arc::new(room),
+            camera,
+            sensor,
+        }
+    }
+
+    /// `len` frames, at [`FRAMES_PER_SECOND`], of a walk once round a ring of rooms generated from `seed`
+    /// and the seeds after it, and on to the middle of the first room. The frames are spread over the
+    /// whole walk. For fewer than five rooms, which make no ring, this is the same as [`Self::new`].
+    pub fn around_rooms(
+        seed: u64,
+        rooms: usize,
+        len: usize,
+        camera: Camera,
+        sensor: SensorModel,
+    ) -> Self {
+        if rooms < 5 {
+            return Self::new(seed, len, camera, sensor);
+        }
+        let (room, ring) = Room::ring(seed, rooms);
+        Self {
+            seed,
+            len,
+            way: Arc::new(Way::Round(Round::new(seed, ring))),
             room: Arc::new(room),
             camera,
             sensor,
@@ -165,6 +191,7 @@ impl Sequence {
         match &*self.way {
             Way::Loop(path) => path.world_from_camera(frame / FRAMES_PER_LOOP as f64),
             Way::Walk(walk) => walk.world_from_camera(frame / (self.len.max(2) - 1) as f64),
+            Way::Round(round) => round.world_from_camera(frame / (self.len.max(2) - 1) as f64),
         }
     }
 

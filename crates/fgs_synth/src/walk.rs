@@ -33,12 +33,6 @@ impl Walk {
 
     /// The pose after a fraction of the walk, 0 to 1. World frame: z up, metres.
     pub fn world_from_camera(&self, share: f64) -> Se3 {
-        /// How far the path bends sideways around the middle of a room, metres, as the loop in a
-        /// single room does.
-        const BEND_M: f64 = 0.95;
-        /// How far the camera yaws across the room and back, rad: beside the middle of the room it
-        /// faces the opposite wall and sees some of what lies back along the path.
-        const SWEEP: f64 = 2.2;
         let share = share.clamp(0.0, 1.0);
         let rooms = self.thresholds.len() - 1;
         let middle = |room: usize| 0.5 * (self.thresholds[room] + self.thresholds[room + 1]);
@@ -47,13 +41,29 @@ impl Walk {
         let doorways_behind = self.thresholds[1..rooms].iter().filter(|door| **door <= x);
         let room = doorways_behind.count();
         let (from, to) = (self.thresholds[room], self.thresholds[room + 1]);
-        // 0 with zero slope at the doorways, 1 beside the middle.
-        let inside = (PI * (x - from) / (to - from)).sin().powi(2);
-        // Passes the middles of successive rooms on alternating sides.
-        let side = if room % 2 == 0 { 1.0 } else { -1.0 };
-        let position = [x, -side * BEND_M * inside];
-        (self.hand).world_from_camera(share * rooms as f64, position, side * SWEEP * inside)
+        let ([_, aside], look) = through_room(room, (x - from) / (to - from));
+        (self.hand).world_from_camera(share * rooms as f64, [x, aside], look)
     }
+}
+
+/// The nominal way through the room of a number, when a share of the way from doorway to doorway has been
+/// gone: how far ahead of its middle (of the way through) and to its left (metres), and where the
+/// camera looks (rad, 0 ahead).
+pub(crate) fn through_room(room: usize, share: f64) -> ([f64; 2], f64) {
+    /// How far the path bends sideways around the middle of a room, metres, as the loop in a single
+    /// room does.
+    const BEND_M: f64 = 0.95;
+    /// How far the camera yaws across the room and back, rad: beside the middle of the room it faces
+    /// the opposite wall and sees some of what lies back along the path.
+    const SWEEP: f64 = 2.2;
+    // 0 with zero slope at the doorways, 1 beside the middle.
+    let inside = (PI * share).sin().powi(2);
+    // Passes the middles of successive rooms on alternating sides.
+    let side = if room.is_multiple_of(2) { 1.0 } else { -1.0 };
+    (
+        [share - 0.5, -side * BEND_M * inside],
+        side * SWEEP * inside,
+    )
 }
 
 #[cfg(test)]

@@ -7,12 +7,14 @@
 //! The few that matter first: `mapping.iterations_per_frame` (quality against time),
 //! `tracking.max_depth_m` (the sensor's range) and the group `surface` (the sensor's noise).
 
+mod loops;
 mod mapping;
 mod tracking;
 
 use fgs_splat::SettingError;
 use serde::{Deserialize, Serialize};
 
+pub use loops::LoopConfig;
 pub use mapping::{MappingConfig, SeedingConfig};
 pub use tracking::{KeyframeConfig, SurfaceConfig, TrackingConfig};
 
@@ -28,6 +30,8 @@ pub struct SlamConfig {
     pub surface: SurfaceConfig,
     /// Which frames become keyframes.
     pub keyframes: KeyframeConfig,
+    /// Coming back to a place.
+    pub loops: LoopConfig,
     /// Where new gaussians go and how large they are.
     pub seeding: SeedingConfig,
     /// Optimisation of the map.
@@ -41,6 +45,7 @@ impl Default for SlamConfig {
             tracking: TrackingConfig::default(),
             surface: SurfaceConfig::default(),
             keyframes: KeyframeConfig::default(),
+            loops: LoopConfig::default(),
             seeding: SeedingConfig::default(),
             mapping: MappingConfig::default(),
         }

@@ -1,0 +1,210 @@
+//! What the graph makes of loops: how keyframes should move.
+
+use fgs_geom::{KeyframeId, Se3};
+use fgs_graph::{Edge, KeyframeGraph, OptimizeSettings, Optimized, RobustKernel};
+use nalgebra::{Matrix6, Vector6};
+
+use super::detect::way;
+use super::verify::{Revisit, with_variance};
+
+/// Tracking drifts by about so much from one keyframe to the next, beside what its registration
+/// knows of: standard deviations, of the way between the two (metres), and at least.
+const DRIFT: f64 = 0.01;
+const DRIFT_RAD_PER_M: f64 = 0.005;
+const MIN_DRIFT_M: f64 = 0.001;
+const MIN_DRIFT_RAD: f64 = 0.0005;
+
+/// A loop loses weight from this squared error on: the 95 % quantile with six degrees of freedom.
+const THRESHOLD: f64 = 12.6;
+
+/// A loop that is left with less weight contradicts the others.
+const MIN_WEIGHT: f64 = 0.5;
+
+/// Two revisits agree if the drift that they found differs by less.
+const MAX_TURN_RAD: f64 = 0.015;
+const MAX_SHIFT_M: f64 = 0.02;
+
+/// Smaller corrections are not worth their trouble.
+const MIN_MOVE_M: f64 = 1e-4;
+
+/// The edge from a keyframe to the next, whose pose in the world is known with some information.
+pub fn successive_edge(
+    from: KeyframeId,
+    to: KeyframeId,
+    from_from_to: Se3,
+    information: &Matrix6<f64>,
+) -> Option<Edge> {
+    let way = way(&from_from_to);
+    let turn = (MIN_DRIFT_RAD + DRIFT_RAD_PER_M * way).powi(2);
+    let shift = (MIN_DRIFT_M + DRIFT * way).powi(2);
+    let variances = Vector6::new(turn, turn, turn, shift, shift, shift);
+    Some(Edge {
+        from,
+        to,
+        from_from_to,
+        information: with_variance(information, &variances)?,
+        kernel: RobustKernel::Quadratic,
+    })
+}
+
+/// Whether two revisits would move the present alike.
+pub fn agree(a: &Revisit, b: &Revisit, graph: &KeyframeGraph) -> bool {
+    let moved = |revisit: &Revisit| {
+        let (old, new) = (graph.pose(revisit.old)?, graph.pose(revisit.new)?);
+        Some(*old * revisit.old_from_new * new.inverse() * *graph.pose(b.new)?)
+    };
+    let (Some(by_a), Some(by_b)) = (moved(a), moved(b)) else {
+        return false;
+    };
+    let apart = by_a.inverse() * by_b;
+    apart.rotation.angle() <= MAX_TURN_RAD && apart.translation.norm() <= MAX_SHIFT_M
+}
+
+/// Closes loops.
+pub struct Correction {
+    /// The edges to add to the graph.
+    pub edges: Vec<Edge>,
+    /// The motions of keyframes, `new_world_from_old_world`; none if all are tiny.
+    pub moves: Vec<(KeyframeId, Se3)>,
+}
+
+/// What revisits mean for a graph; `None` if they contradict its other edges.
+pub fn correction(graph: &KeyframeGraph, revisits: [&Revisit; 2]) -> Option<Correction> {
+    let edges = |kernel: RobustKernel| {
+        revisits.map(|revisit| Edge {
+            from: revisit.old,
+            to: revisit.new,
+            from_from_to: revisit.old_from_new,
+            information: revisit.information,
+            kernel,
+        })
+    };
+    // A robust edge far from its minimum has no pull. So loops are closed first, and then asked
+    // whether they fit.
+    let closed = optimized(graph, &edges(RobustKernel::Quadratic))?;
+    let mut start = graph.clone();
+    start.move_keyframes(&closed.corrections);
+    let edges = edges(RobustKernel::DynamicCovarianceScaling {
+        threshold: THRESHOLD,
+    });
+    let settled = optimized(&start, &edges)?;
+    let fits = settled
+        .weights
+        .iter()
+        .rev()
+        .take(edges.len())
+        .all(|weight| *weight >= MIN_WEIGHT);
+    fits.then_some(())?;
+    start.move_keyframes(&settled.corrections);
+    let moves: Vec<(KeyframeId, Se3)> = graph
+        .poses()
+        .filter_map(|(id, old)| Some((id, (*start.pose(id)? * old.inverse()).renormalized())))
+        .collect();
+    let largest = graph
+        .poses()
+        .filter_map(|(id, old)| Some((start.pose(id)?.translation - old.translation).norm()));
+    let is_worth_it = largest.fold(0.0, f64::max) >= MIN_MOVE_M;
+    Some(Correction {
+        edges: edges.to_vec(),
+        moves: if is_worth_it { moves } else { Vec::new() },
+    })
+}
+
+/// What a graph's poses become once edges are added.
+fn optimized(graph: &KeyframeGraph, edges: &[Edge]) -> Option<Optimized> {
+    let mut graph = graph.clone();
+    for edge in edges {
+        graph.add_edge(edge.clone()).ok()?;
+    }
+    graph.optimize(&OptimizeSettings::default()).ok()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const STEP_M: f64 = 0.2;
+
+    fn at(x: f64, y: f64) -> Se3 {
+        Se3::exp(&Vector6::new(0.0, 0.0, 0.0, x, y, 0.0))
+    }
+
+    /// A way of 20 keyframes ahead that seems to lead 1 % aside.
+    fn drifted() -> KeyframeGraph {
+        let mut graph = KeyframeGraph::new();
+        for i in 0..20 {
+            let ahead = STEP_M * f64::from(i);
+            let id = KeyframeId(i);
+            graph.add_keyframe(id, at(ahead, 0.01 * ahead));
+            if let Some(from) = i.checked_sub(1).map(KeyframeId) {
+                let step = at(STEP_M, 0.01 * STEP_M);
+                let edge = successive_edge(from, id, step, &(Matrix6::identity() * 1e6));
+                graph.add_edge(edge.unwrap()).unwrap();
+            }
+        }
+        graph
+    }
+
+    fn revisit(old: u32, new: u32, old_from_new: Se3) -> Revisit {
+        Revisit {
+            old: KeyframeId(old),
+            new: KeyframeId(new),
+            old_from_new,
+            information: Matrix6::identity() * 1e5,
+        }
+    }
+
+    /// As it would be without drift.
+    fn right(old: u32, new: u32) -> Revisit {
+        revisit(old, new, at(STEP_M * f64::from(new - old), 0.0))
+    }
+
+    #[test]
+    fn drift_is_spread_over_the_way() {
+        let graph = drifted();
+        let correction = correction(&graph, [&right(0, 18), &right(1, 19)]).unwrap();
+        let mut aside = vec![0.0];
+        for (id, motion) in &correction.moves[1..] {
+            let pose = *motion * *graph.pose(*id).unwrap();
+            aside.push(pose.translation.y - graph.pose(*id).unwrap().translation.y);
+        }
+        let whole = -0.01 * STEP_M * 19.0;
+        assert!((aside[19] - whole).abs() <= 0.1 * whole.abs(), "{aside:?}");
+        assert!(
+            aside.windows(2).all(|pair| pair[1] <= pair[0] + 1e-4),
+            "{aside:?}"
+        );
+        assert!((0.2..0.8).contains(&(aside[10] / whole)), "{aside:?}");
+    }
+
+    #[test]
+    fn loops_that_contradict_the_others_are_refused() {
+        let mut graph = drifted();
+        let first = correction(&graph, [&right(0, 18), &right(1, 19)]).unwrap();
+        graph.move_keyframes(&first.moves);
+        for edge in first.edges {
+            graph.add_edge(edge).unwrap();
+        }
+        let wrong = |old: u32, new: u32| revisit(old, new, at(STEP_M * f64::from(new - old), 0.5));
+        assert!(correction(&graph, [&wrong(0, 17), &wrong(1, 16)]).is_none());
+    }
+
+    #[test]
+    fn what_moves_nothing_is_only_noted() {
+        let graph = drifted();
+        let known = |old: u32, new: u32| {
+            let ahead = STEP_M * f64::from(new - old);
+            revisit(old, new, at(ahead, 0.01 * ahead))
+        };
+        let correction = correction(&graph, [&known(0, 18), &known(1, 19)]).unwrap();
+        assert!(correction.edges.len() == 2 && correction.moves.is_empty());
+    }
+
+    #[test]
+    fn revisits_agree_by_how_they_move_the_present() {
+        let graph = drifted();
+        assert!(agree(&right(0, 18), &right(3, 19), &graph));
+        let other = revisit(3, 19, at(STEP_M * 16.0, 0.1));
+        assert!(!agree(&right(0, 18), &other, &graph));
+    }
+}

@@ -1,0 +1,83 @@
+//! Loop closure: when the camera comes back to a place after a way on which poses have drifted, the
+//! place is recognised (detect.rs), checked (verify.rs), and all keyframes are moved to where the whole
+//! graph fits best (correct.rs).
+//!
+//! A wrong loop bends the map for good, a missed one leaves it as it was. So everything must speak for
+//! a loop, and two keyframes must find the same drift one after the other.
+//!
+//! Differs from the paper, which has no loops.
+
+mod correct;
+mod detect;
+#[cfg(test)]
+#[allow(clippy::unwrap_used)]
+mod tests;
+mod verify;
+
+use fgs_geom::{KeyframeId, RgbdFrame};
+use fgs_gicp::DepthGrid;
+use fgs_graph::KeyframeGraph;
+
+use crate::color_aligner::ColorAligner;
+use crate::registrar::Registrar;
+use crate::relocalizer::Relocalizer;
+use crate::sparse_map::SparseMap;
+
+pub use correct::{Correction, successive_edge};
+use correct::{agree, correction};
+use detect::{Ways, candidates};
+use verify::{Revisit, Seen, verify};
+
+/// A revisit waits for another to agree while the camera comes so far, metres.
+const PATIENCE_M: f64 = 2.0;
+
+/// What is remembered of all keyframes.
+#[derive(Clone, Copy)]
+pub struct Memory<'a> {
+    pub places: &'a Relocalizer,
+    pub color: &'a ColorAligner,
+    pub map: &'a SparseMap,
+    pub grid: &'a DepthGrid,
+    pub registrar: &'a Registrar,
+}
+
+/// Finds loops, keyframe by keyframe.
+#[derive(Default)]
+pub struct LoopCloser {
+    /// Revisits that nothing has confirmed yet.
+    waiting: Vec<Revisit>,
+}
+
+impl LoopCloser {
+    /// What a keyframe that joined the graph means for it: `None` mostly, and a correction if it and
+    /// another before it have found the same drift.
+    pub fn close(
+        &mut self,
+        id: KeyframeId,
+        frame: &RgbdFrame,
+        graph: &KeyframeGraph,
+        memory: &Memory,
+    ) -> Option<Correction> {
+        let ways = Ways::from(graph, id);
+        (self.waiting).retain(|revisit| ways.to(revisit.new) <= PATIENCE_M);
+        let candidates = candidates(id, &ways, graph, memory);
+        if candidates.is_empty() {
+            return None;
+        }
+        let pyramid = ColorAligner::pyramid(frame);
+        let seen = Seen {
+            id,
+            frame,
+            pyramid: &pyramid,
+        };
+        let revisit = verify(seen, &candidates, &ways, graph, memory)?;
+        let confirmed = (self.waiting.iter()).find(|earlier| agree(earlier, &revisit, graph));
+        let closed = confirmed.and_then(|earlier| correction(graph, [earlier, &revisit]));
+        if closed.is_some() {
+            self.waiting.clear();
+        } else {
+            self.waiting.push(revisit);
+        }
+        closed
+    }
+}

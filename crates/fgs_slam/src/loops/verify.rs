@@ -1,0 +1,197 @@
+//! Whether a new keyframe shows what an old one shows, and how the two lie to each other. Corners, the
+//! registration of surfaces and the brightness of both must all say so.
+
+use fgs_direct::IntensityPyramid;
+use fgs_geom::{KeyframeId, RgbdFrame, Se3};
+use fgs_gicp::{Point, PointMap, Settings, SurfacePoint, align};
+use fgs_graph::KeyframeGraph;
+use nalgebra::{Matrix6, Vector6};
+use rayon::prelude::*;
+
+use super::Memory;
+use super::detect::Ways;
+
+/// Corners that must agree: twice what a pose without a first guess takes, since nothing is lost by
+/// waiting for a better view.
+const MIN_INLIERS: usize = 20;
+
+/// The share of the new keyframe's surface points that must lie on the old surfaces.
+const MIN_INLIER_SHARE: f64 = 0.4;
+
+/// Points correspond up to this distance from where corners put them, then up to this, metres.
+const SEARCH_M: [f64; 2] = [0.06, 0.03];
+
+/// Two views of one surface do not differ by more, root mean square, relative to the depth.
+const MAX_RESIDUAL: f64 = 0.01;
+
+/// The likeness to the old keyframe, less the share of its points that the new one sees through.
+const MIN_SUPPORT: f64 = 0.5;
+
+/// So many of the old keyframe's points must be in view, and this share of them.
+const MIN_COMPARED: usize = 25;
+const MIN_SHARE: f64 = 0.25;
+
+/// Surfaces of keyframes within this way of the old one belong to the same view of the place.
+const NEIGHBOURHOOD_M: f64 = 1.5;
+
+/// Errors that residuals do not show, because neighbouring pixels share them: standard deviations of
+/// the turn (rad) and the shift (metres). On recordings of consumer sensors corners are off by this.
+const CORNERS_FLOOR: [f64; 2] = [0.01, 0.015];
+const SURFACES_FLOOR: [f64; 2] = [0.005, 0.006];
+
+/// 99 % of the squared errors of a right prediction are smaller (six degrees of freedom).
+const MAX_CHI2: f64 = 16.8;
+
+/// What corners alone find is worth a registration beyond this squared error.
+const MAYBE_NEWS: f64 = 4.0;
+
+/// A place seen again.
+#[derive(Clone, Debug)]
+pub struct Revisit {
+    pub old: KeyframeId,
+    pub new: KeyframeId,
+    /// The measured pose of the new keyframe in the axes of the old.
+    pub old_from_new: Se3,
+    /// Its inverse covariance, tangent `[omega, v]` in the axes of the new.
+    pub information: Matrix6<f64>,
+}
+
+impl Revisit {
+    /// How far the measurement is from what the graph says, in the axes of the new keyframe.
+    pub fn drift(&self, graph: &KeyframeGraph) -> Option<Se3> {
+        let (old, new) = (graph.pose(self.old)?, graph.pose(self.new)?);
+        Some(new.inverse() * *old * self.old_from_new)
+    }
+
+    /// Whether the graph says otherwise, beyond the measurement's noise, but not more than drift can
+    /// explain.
+    fn is_news(&self, graph: &KeyframeGraph, ways: &Ways, chi2: f64) -> bool {
+        self.drift(graph).is_some_and(|drift| {
+            let tangent = drift.log();
+            ways.allows(self.old, &drift) && tangent.dot(&(self.information * tangent)) > chi2
+        })
+    }
+}
+
+/// A keyframe to recognise: its images, with depth as its colour camera sees it.
+#[derive(Clone, Copy)]
+pub struct Seen<'a> {
+    pub id: KeyframeId,
+    pub frame: &'a RgbdFrame,
+    pub pyramid: &'a IntensityPyramid,
+}
+
+/// How a new keyframe lies to one of some old ones, if it shows the same and the graph does not know it
+/// yet.
+pub fn verify(
+    new: Seen,
+    candidates: &[KeyframeId],
+    ways: &Ways,
+    graph: &KeyframeGraph,
+    memory: &Memory,
+) -> Option<Revisit> {
+    let by_corners = (candidates.iter())
+        .filter_map(|old| recognized(new.id, *old, memory))
+        .filter(|(guess, _)| guess.is_news(graph, ways, MAYBE_NEWS))
+        .max_by_key(|(_, inliers)| *inliers)?;
+    let revisit = registered(new, &by_corners.0, graph, memory)?;
+    let is_same = revisit.is_news(graph, ways, MAX_CHI2) && looks_alike(new, &revisit, memory);
+    is_same.then_some(revisit)
+}
+
+/// How a new keyframe lies to an old one by their corners, and how many agree.
+fn recognized(new: KeyframeId, old: KeyframeId, memory: &Memory) -> Option<(Revisit, usize)> {
+    let relative = memory.places.relative_pose(old, new)?;
+    let revisit = Revisit {
+        old,
+        new,
+        old_from_new: relative.a_from_b,
+        information: with_floor(&relative.information, CORNERS_FLOOR)?,
+    };
+    (relative.inliers >= MIN_INLIERS).then_some((revisit, relative.inliers))
+}
+
+/// Whether a new keyframe looks like the old one from where it is said to be.
+fn looks_alike(new: Seen, revisit: &Revisit, memory: &Memory) -> bool {
+    let new_from_old = revisit.old_from_new.inverse();
+    let depth_m = &new.frame.depth_m;
+    let seen = (memory.color).agreement_with(revisit.old, new.pyramid, depth_m, &new_from_old);
+    seen.is_some_and(|seen| {
+        seen.points >= MIN_COMPARED
+            && seen.share >= MIN_SHARE
+            && seen.likeness - seen.seen_through >= MIN_SUPPORT
+    })
+}
+
+/// Registers a new keyframe's surfaces with those around the old one.
+fn registered(
+    new: Seen,
+    guess: &Revisit,
+    graph: &KeyframeGraph,
+    memory: &Memory,
+) -> Option<Revisit> {
+    let around = Ways::from(graph, guess.old);
+    let world_from_old = graph.pose(guess.old)?;
+    let mut pose = *world_from_old * guess.old_from_new;
+    let surface = memory
+        .grid
+        .surface_points(&new.frame.depth_m, &new.frame.camera);
+    let to_disk = |point: &SurfacePoint| memory.registrar.disk(point);
+    let source: Vec<Point> = surface.par_iter().map(to_disk).collect();
+    let mut target = PointMap::new(4.0 * SEARCH_M[0] as f32);
+    let camera_from_world = pose.inverse();
+    let anchored = (memory.map).anchored(|anchor| around.to(anchor) <= NEIGHBOURHOOD_M);
+    for (id, point) in anchored {
+        let in_camera = camera_from_world.transform(&point.position.cast());
+        if new.frame.camera.project(&in_camera).is_some() {
+            target.insert(id, *point);
+        }
+    }
+    let mut alignment = None;
+    for distance in SEARCH_M {
+        let settings = Settings {
+            max_correspondence_distance_m: distance as f32,
+            ..Settings::default()
+        };
+        let aligned = align(&source, &target, &pose, &settings).ok()?;
+        pose = aligned.target_from_source;
+        alignment = Some(aligned);
+    }
+    let alignment = alignment?;
+    let depth_m = surface.iter().map(|point| point.measured.z).sum::<f64>() / surface.len() as f64;
+    let holds = alignment.converged
+        && alignment.inlier_share >= MIN_INLIER_SHARE
+        && alignment.rms_residual_m <= MAX_RESIDUAL * depth_m
+        && guess.drift_to(&(world_from_old.inverse() * pose)) <= MAX_CHI2;
+    holds.then_some(())?;
+    Some(Revisit {
+        old_from_new: (world_from_old.inverse() * pose).renormalized(),
+        information: with_floor(&memory.registrar.information(&alignment), SURFACES_FLOOR)?,
+        ..guess.clone()
+    })
+}
+
+impl Revisit {
+    /// The squared error of another measurement of the same, in standard deviations of this one.
+    fn drift_to(&self, old_from_new: &Se3) -> f64 {
+        let off = (self.old_from_new.inverse() * *old_from_new).log();
+        off.dot(&(self.information * off))
+    }
+}
+
+/// Information that knows of errors which do not show in residuals; `None` if there is none in some
+/// direction.
+fn with_floor(information: &Matrix6<f64>, floor: [f64; 2]) -> Option<Matrix6<f64>> {
+    let [turn, shift] = floor.map(|deviation| deviation.powi(2));
+    with_variance(
+        information,
+        &Vector6::new(turn, turn, turn, shift, shift, shift),
+    )
+}
+
+/// Information after independent errors of these variances have been added.
+pub fn with_variance(information: &Matrix6<f64>, variances: &Vector6<f64>) -> Option<Matrix6<f64>> {
+    let covariance = information.cholesky()?.inverse() + Matrix6::from_diagonal(variances);
+    let information = covariance.cholesky()?.inverse();
+    Some(0.5 * (information + information.transpose()))
+}
