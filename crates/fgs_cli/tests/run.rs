@@ -22,7 +22,7 @@ const FILES: [&str; 6] = [
     "trajectory.txt",
 ];
 
-const COUNTS: [&str; 14] = [
+const COUNTS: [&str; 15] = [
     "frames",
     "frames_dropped",
     "frames_lost",

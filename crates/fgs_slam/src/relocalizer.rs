@@ -1,7 +1,7 @@
 //! Guesses of a frame's pose that need no idea of where the camera is: corners matched with those of
 //! keyframes, and of the frame before. They are tried when the motion model has failed.
 
-use std::sync::Arc;
+use std::sync::{Arc, OnceLock};
 
 use fgs_features::{Features, RelativePose, match_features, relative_pose};
 use fgs_geom::{KeyframeId, RgbdFrame, Se3};
@@ -25,7 +25,14 @@ pub struct Relocalizer {
     /// In the order they came, which is that of their ids.
     keyframes: Vec<KnownPlace>,
     /// The last frame with a trusted pose.
-    last: Option<(Arc<RgbdFrame>, Se3)>,
+    last: Option<LastFrame>,
+}
+
+struct LastFrame {
+    frame: Arc<RgbdFrame>,
+    world_from_camera: Se3,
+    /// Detected when first asked for; a camera that is lost asks again and again.
+    features: OnceLock<Features>,
 }
 
 /// Where a frame may have been taken.
@@ -60,14 +67,19 @@ impl Relocalizer {
 
     /// A frame whose pose is trusted.
     pub fn observe(&mut self, frame: &Arc<RgbdFrame>, world_from_camera: &Se3) {
-        self.last = Some((Arc::clone(frame), *world_from_camera));
+        self.last = Some(LastFrame {
+            frame: Arc::clone(frame),
+            world_from_camera: *world_from_camera,
+            features: OnceLock::new(),
+        });
     }
 
     /// Where a frame was taken, judged by the last trusted frame and the newest keyframe, the more
     /// probable first.
     pub fn guesses_nearby(&self, frame: &Features) -> Vec<Guess> {
-        let last = self.last.iter().filter_map(|(last, world_from_last)| {
-            Guess::new(frame, &Features::detect(last), world_from_last)
+        let last = self.last.iter().filter_map(|last| {
+            let features = last.features.get_or_init(|| Features::detect(&last.frame));
+            Guess::new(frame, features, &last.world_from_camera)
         });
         let newest = self.keyframes.last();
         sorted(last.chain(newest.and_then(|keyframe| keyframe.guess(frame))))
@@ -114,8 +126,8 @@ impl Relocalizer {
 
     /// The world around the newest keyframe moved rigidly, and the camera with it.
     pub fn move_camera(&mut self, new_from_old: &Se3) {
-        if let Some((_, world_from_camera)) = &mut self.last {
-            *world_from_camera = *new_from_old * *world_from_camera;
+        if let Some(last) = &mut self.last {
+            last.world_from_camera = *new_from_old * last.world_from_camera;
         }
     }
 }

@@ -205,9 +205,9 @@ impl Tracker {
         }
         let features = Features::detect(measured.frame);
         let color_from_depth = measured.frame.depth_sensor.color_from_depth;
-        let start_of = |guess: &Guess| Start {
-            world_from_depth: guess.world_from_camera * color_from_depth,
-            information: guess.information,
+        let start_of = |guess: &Guess| {
+            let world_from_depth = guess.world_from_camera * color_from_depth;
+            Start::from_corners(world_from_depth, &guess.information)
         };
         for guess in self.relocalizer.guesses_nearby(&features) {
             best = better(best, attempt(&start_of(&guess)));
