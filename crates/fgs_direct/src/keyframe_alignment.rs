@@ -60,6 +60,8 @@ pub struct PhotometricAlignment {
     pub noise: f64,
     /// Number of points compared at the finest level.
     pub points: usize,
+    /// Whether it is too far from the prior: then one of the two is wrong.
+    pub contradicts_prior: bool,
 }
 
 /// A keyframe's points and its pose.
@@ -73,8 +75,7 @@ pub struct PosedReference<'a> {
 
 /// Aligns an image with keyframes, over the pyramid's levels from the coarsest to the finest. Starts at
 /// the prior's pose. Levels where fewer than 50 points can be compared are left out. `None` if none
-/// is left, and if brightness contradicts the prior: then one of the two is wrong, and far alignments
-/// are mostly false minima.
+/// is left. Far alignments, which contradict the prior, are mostly false minima.
 pub fn align_with_keyframes(
     image: &IntensityPyramid,
     references: &[PosedReference],
@@ -116,6 +117,7 @@ pub fn align_with_keyframes(
                 information: system.information,
                 noise,
                 points: system.points,
+                contradicts_prior: false,
             });
             if step.fixed_rows::<3>(0).norm() < ROTATION_EPSILON_RAD
                 && step.fixed_rows::<3>(3).norm() < TRANSLATION_EPSILON_M
@@ -124,9 +126,13 @@ pub fn align_with_keyframes(
             }
         }
     }
-    result.filter(|aligned: &PhotometricAlignment| {
+    result.map(|aligned: PhotometricAlignment| {
         let off = (prior.world_from_camera.inverse() * aligned.world_from_camera).log();
-        (off.transpose() * prior.information * off)[0] <= MAX_CONTRADICTION
+        let contradiction = (off.transpose() * prior.information * off)[0];
+        PhotometricAlignment {
+            contradicts_prior: contradiction > MAX_CONTRADICTION,
+            ..aligned
+        }
     })
 }
 
@@ -360,7 +366,7 @@ mod tests {
     }
 
     #[test]
-    fn brightness_that_contradicts_the_prior_is_not_believed() {
+    fn brightness_that_contradicts_the_prior_says_so() {
         let scene = Scene::new(7, true);
         let keyframe = scene.frame(&Se3::identity(), 1.0, 0.0);
         let reference = reference(&keyframe);
@@ -373,7 +379,8 @@ mod tests {
             align_with_keyframes(&frame, &[at_origin(&reference)], &prior)
         };
         // The offset has a norm of 0.034: one standard deviation, and more than twenty.
-        assert!(aligned(0.03).is_some() && aligned(0.0013).is_none());
+        let contradicts = |sigma| aligned(sigma).unwrap().contradicts_prior;
+        assert!(!contradicts(0.03) && contradicts(0.0013));
     }
 
     #[test]

@@ -54,5 +54,6 @@ pub fn align_with_map(
         world_from_reference: world_from_camera,
     };
     let aligned = align_with_keyframes(pyramid, &[posed], prior);
+    let aligned = aligned.filter(|aligned| !aligned.contradicts_prior);
     Ok(aligned.map(|aligned| aligned.world_from_camera))
 }

@@ -260,15 +260,23 @@ impl Registrar {
         };
         let mut held = by_color(&registered.held);
         if let Some(pyramid) = &pyramid {
+            let agreement = |pose: &Se3| known.keyframes.agreement(pyramid, &frame.depth_m, pose);
+            evidence.agreement = agreement(&located.world_from_camera);
             if let Some(prior) = located.prior()
                 && let Some(aligned) = known.keyframes.align(pyramid, &prior)
             {
-                located.world_from_camera = aligned.world_from_camera;
-                located.information = Some(prior.information + aligned.information);
-                held += aligned.information;
+                let by_color = Evidence {
+                    agreement: agreement(&aligned.world_from_camera),
+                    ..evidence
+                };
+                // Far alignments are mostly false minima, but not if they look better.
+                if !aligned.contradicts_prior || by_color.agrees_better_than(&evidence) {
+                    located.world_from_camera = aligned.world_from_camera;
+                    located.information = Some(prior.information + aligned.information);
+                    held += aligned.information;
+                    evidence = by_color;
+                }
             }
-            let pose = &located.world_from_camera;
-            evidence.agreement = known.keyframes.agreement(pyramid, &frame.depth_m, pose);
         }
         evidence.uncertainty_m = position_uncertainty_m(&held);
         Attempt {

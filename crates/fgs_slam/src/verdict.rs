@@ -20,6 +20,9 @@ const GOOD_SUPPORT: f64 = 0.45;
 const CLEAR_SUPPORT: f64 = 0.75;
 const CLEAR_INLIER_SHARE: f64 = 0.3;
 
+/// So much more support tells two poses of a frame apart.
+const CLEARLY_BETTER: f64 = 0.05;
+
 /// A camera that was lost is found only where at least so many of its points are registered, and a
 /// keyframe is clearly seen. Look-alike rooms gave 0.6; right ones above 0.9.
 const FOUND_INLIER_SHARE: f64 = 0.75;
@@ -101,6 +104,14 @@ impl Evidence {
             && self
                 .support()
                 .is_none_or(|support| support >= CLEAR_SUPPORT)
+    }
+
+    /// Whether a keyframe clearly speaks for this pose of a frame rather than for another.
+    pub fn agrees_better_than(&self, other: &Self) -> bool {
+        match (self.support(), other.support()) {
+            (Some(own), Some(other)) => own >= CLEAR_SUPPORT && own >= other + CLEARLY_BETTER,
+            _ => false,
+        }
     }
 
     /// Orders poses of one frame that have the same verdict.
@@ -195,6 +206,19 @@ mod tests {
             ..alone(0.9)
         };
         assert_eq!(unsettled.verdict(&LIMITS), Verdict::Lost);
+    }
+
+    #[test]
+    fn another_pose_is_better_only_if_it_is_clearly_seen() {
+        let better =
+            |own, other| evidence(0.9, own, 0.0).agrees_better_than(&evidence(0.9, other, 0.0));
+        assert!(better(0.98, 0.79));
+        assert!(!better(0.98, 0.96) && !better(0.7, 0.5));
+        let nothing_seen = Evidence {
+            agreement: None,
+            ..evidence(0.9, 0.0, 0.0)
+        };
+        assert!(!evidence(0.9, 0.98, 0.0).agrees_better_than(&nothing_seen));
     }
 
     #[test]
