@@ -194,7 +194,7 @@ mod tests {
             nalgebra::UnitQuaternion::from_euler_angles(0.0, 3.1, 0.0),
             Vector3::zeros(),
         );
-        let away = compared(&scene, &behind, &behind, 1.0);
+        let away = compared(&scene, &Se3::identity(), &behind, 1.0);
         assert_eq!((away.points, away.share), (0, 0.0));
     }
 }
