@@ -30,6 +30,13 @@ pub struct Agreement {
     pub seen_through: f64,
 }
 
+impl Agreement {
+    /// What the keyframe says of the pose, up to 1: the likeness less the share seen through.
+    pub fn support(&self) -> f64 {
+        self.likeness - self.seen_through
+    }
+}
+
 /// The variance of an image's brightness, its contrast.
 pub fn contrast(image: &IntensityImage) -> f64 {
     let mut moments = Moments::default();

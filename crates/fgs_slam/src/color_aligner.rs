@@ -9,7 +9,7 @@ use fgs_direct::{
 };
 use fgs_geom::{Image, KeyframeId, RgbdFrame, Se3};
 
-use crate::keyframes::Keyframe;
+use crate::keyframes::{Keyframe, move_pose};
 
 /// Levels of the pyramid, the frame itself included: at the coarsest, a pixel is eight.
 const LEVELS: usize = 4;
@@ -171,9 +171,7 @@ impl ColorAligner {
     /// Keyframes were moved, each by its `new_world_from_old_world`.
     pub fn move_keyframes(&mut self, moves: &[(KeyframeId, Se3)]) {
         for keyframe in &mut self.keyframes {
-            for (_, new_from_old) in moves.iter().filter(|(id, _)| *id == keyframe.id) {
-                keyframe.world_from_camera = *new_from_old * keyframe.world_from_camera;
-            }
+            move_pose(&mut keyframe.world_from_camera, keyframe.id, moves);
         }
     }
 }

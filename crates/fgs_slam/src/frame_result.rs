@@ -80,7 +80,7 @@ pub struct TrackingQuality {
 
 impl TrackingQuality {
     /// Takes over what speaks for a pose.
-    pub(crate) fn of(&mut self, evidence: &Evidence) {
+    pub(crate) fn take_over(&mut self, evidence: &Evidence) {
         self.inliers = evidence.inliers;
         self.residual_m = evidence.residual_m;
         self.conditioning = evidence.conditioning;

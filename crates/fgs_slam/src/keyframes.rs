@@ -61,6 +61,14 @@ impl Keyframe {
     }
 }
 
+/// Moves the pose of a keyframe by those of some motions that are its own, each
+/// `new_world_from_old_world`.
+pub fn move_pose(world_from_camera: &mut Se3, id: KeyframeId, moves: &[(KeyframeId, Se3)]) {
+    for (_, new_from_old) in moves.iter().filter(|(moved, _)| *moved == id) {
+        *world_from_camera = *new_from_old * *world_from_camera;
+    }
+}
+
 /// What a tracked frame gives the mapper to do.
 pub enum FrameWork {
     /// It joins the map.

@@ -52,7 +52,7 @@ impl MotionModel {
 
     /// The velocity expected at a time, `[omega, v]` in the camera's axes, rad/s and m/s; zero after a
     /// gap of more than half a second.
-    pub fn velocity_at(&self, timestamp_secs: f64) -> Vector6<f64> {
+    fn velocity_at(&self, timestamp_secs: f64) -> Vector6<f64> {
         match self.last {
             Some(last) if last.secs_until(timestamp_secs) <= HORIZON_SECS => self.velocity,
             _ => Vector6::zeros(),

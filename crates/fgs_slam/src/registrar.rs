@@ -14,7 +14,7 @@ use crate::color_aligner::ColorAligner;
 use crate::config::{SlamConfig, SurfaceConfig, TrackingConfig};
 use crate::motion::MotionModel;
 use crate::sparse_map::SparseMap;
-use crate::verdict::{Evidence, Limits, Verdict};
+use crate::verdict::{Evidence, Verdict};
 use crate::weak_directions::{fused_pose, held_information};
 
 /// Fewer points with a surface say nothing about the camera.
@@ -251,49 +251,45 @@ impl Registrar {
         let pyramid = self.config.color.then(|| ColorAligner::pyramid(&frame));
         let depth_from_color = frame.depth_sensor.color_from_depth(&velocity).inverse();
         let depth_by_color = depth_from_color.adjoint();
-        let by_color =
+        let in_color_axes =
             |information: &Matrix6<f64>| depth_by_color.transpose() * information * depth_by_color;
         let mut located = Located {
             world_from_camera: registered.world_from_depth * depth_from_color,
             velocity,
-            information: registered.information.as_ref().map(by_color),
+            information: registered.information.as_ref().map(in_color_axes),
         };
-        let mut held = by_color(&registered.held);
+        let mut held = in_color_axes(&registered.held);
         if let Some(pyramid) = &pyramid {
-            let agreement = |pose: &Se3| known.keyframes.agreement(pyramid, &frame.depth_m, pose);
-            evidence.agreement = agreement(&located.world_from_camera);
-            if let Some(prior) = located.prior()
-                && let Some(aligned) = known.keyframes.align(pyramid, &prior)
-            {
-                let by_color = Evidence {
-                    agreement: agreement(&aligned.world_from_camera),
-                    ..evidence
-                };
-                // Far alignments are mostly false minima, but not if they look better.
-                if !aligned.contradicts_prior || by_color.agrees_better_than(&evidence) {
-                    located.world_from_camera = aligned.world_from_camera;
-                    located.information = Some(prior.information + aligned.information);
-                    held += aligned.information;
-                    evidence = by_color;
-                }
+            let at = |pose: &Se3| Evidence {
+                agreement: known.keyframes.agreement(pyramid, &frame.depth_m, pose),
+                ..evidence
+            };
+            let prior = located.prior();
+            let aligned = prior.and_then(|prior| known.keyframes.align(pyramid, &prior));
+            // Far alignments are mostly false minima, but not if they look better.
+            let is_better =
+                |by_color: &Evidence| by_color.agrees_better_than(&at(&located.world_from_camera));
+            let believed = aligned
+                .map(|aligned| (at(&aligned.world_from_camera), aligned))
+                .filter(|(by_color, aligned)| !aligned.contradicts_prior || is_better(by_color));
+            if let Some((by_color, aligned)) = believed {
+                located.world_from_camera = aligned.world_from_camera;
+                located.information = located.information.map(|known| known + aligned.information);
+                held += aligned.information;
+                evidence = by_color;
+            } else {
+                evidence = at(&located.world_from_camera);
             }
         }
         evidence.uncertainty_m = position_uncertainty_m(&held);
         Attempt {
-            verdict: evidence.verdict(&self.limits()),
-            is_doubtful: evidence.is_doubtful(&self.limits()),
+            verdict: evidence.verdict(&self.config),
+            is_doubtful: evidence.is_doubtful(&self.config),
             is_relocalized: false,
             located,
             frame,
             pyramid,
             evidence,
-        }
-    }
-
-    fn limits(&self) -> Limits {
-        Limits {
-            min_inlier_share: self.config.min_inlier_share,
-            min_conditioning: self.config.min_conditioning,
         }
     }
 

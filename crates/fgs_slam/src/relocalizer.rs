@@ -8,7 +8,7 @@ use fgs_geom::{KeyframeId, RgbdFrame, Se3};
 use fgs_place::{PlaceDescriptor, PlaceIndex, Similar};
 use nalgebra::Matrix6;
 
-use crate::keyframes::Keyframe;
+use crate::keyframes::{Keyframe, move_pose};
 
 /// Keyframes that are most like a frame are tried, up to so many.
 const CANDIDATES: usize = 5;
@@ -88,11 +88,7 @@ impl Relocalizer {
     /// Where a frame was taken, judged by the keyframes that look most like it.
     pub fn guesses_anywhere(&self, frame: &RgbdFrame, features: &Features) -> Vec<Guess> {
         let similar = (self.places).most_similar(&PlaceDescriptor::new(frame), CANDIDATES);
-        let guesses = similar.iter().filter_map(|similar| {
-            let of_id = |keyframe: &&KnownPlace| keyframe.id == similar.id;
-            self.keyframes.iter().find(of_id)?.guess(features)
-        });
-        sorted(guesses)
+        sorted((similar.iter()).filter_map(|similar| self.known(similar.id)?.guess(features)))
     }
 
     /// All keyframes, the one most like the newest first.
@@ -105,22 +101,19 @@ impl Relocalizer {
 
     /// The pose of keyframe `b` in the axes of `a`, from the corners that they have in common.
     pub fn relative_pose(&self, a: KeyframeId, b: KeyframeId) -> Option<RelativePose> {
-        let features = |id| {
-            let at = self
-                .keyframes
-                .binary_search_by_key(&id, |keyframe| keyframe.id);
-            Some(&self.keyframes[at.ok()?].features)
-        };
-        let (a, b) = (features(a)?, features(b)?);
+        let (a, b) = (&self.known(a)?.features, &self.known(b)?.features);
         relative_pose(a, b, &match_features(a, b), SEED)
+    }
+
+    fn known(&self, id: KeyframeId) -> Option<&KnownPlace> {
+        let at = (self.keyframes).binary_search_by_key(&id, |keyframe| keyframe.id);
+        self.keyframes.get(at.ok()?)
     }
 
     /// Keyframes were moved, each by its `new_world_from_old_world`.
     pub fn move_keyframes(&mut self, moves: &[(KeyframeId, Se3)]) {
         for keyframe in &mut self.keyframes {
-            for (_, new_from_old) in moves.iter().filter(|(id, _)| *id == keyframe.id) {
-                keyframe.world_from_camera = *new_from_old * keyframe.world_from_camera;
-            }
+            move_pose(&mut keyframe.world_from_camera, keyframe.id, moves);
         }
     }
 

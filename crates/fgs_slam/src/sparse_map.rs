@@ -4,6 +4,8 @@
 //! Every point is anchored to the keyframe that brought it and moves with it. A keyframe's points
 //! have consecutive ids, so that anchors take one entry per keyframe.
 
+use std::ops::Range;
+
 use fgs_geom::{KeyframeId, Se3};
 use fgs_gicp::{Point, PointMap};
 use fgs_splat::SparseId;
@@ -40,11 +42,9 @@ impl SparseMap {
         &self,
         is_wanted: impl Fn(KeyframeId) -> bool,
     ) -> impl Iterator<Item = (u64, &Point)> {
-        let ends = self.anchors.iter().skip(1).map(|(first, _)| *first);
-        let ends = ends.chain([self.next_id]);
-        (self.anchors.iter().zip(ends))
-            .filter(move |((_, anchor), _)| is_wanted(*anchor))
-            .flat_map(|((first, _), end)| (*first..end).map(u64::from))
+        self.ids_by_anchor()
+            .filter(move |(anchor, _)| is_wanted(*anchor))
+            .flat_map(|(_, ids)| ids)
             .filter_map(|id| Some((id, self.points.get(id)?)))
     }
 
@@ -83,19 +83,27 @@ impl SparseMap {
 
     /// Moves the points anchored to each keyframe by its `new_world_from_old_world`.
     pub fn move_anchored(&mut self, moves: &[(KeyframeId, Se3)]) {
-        let ends = self.anchors.iter().skip(1).map(|(first, _)| *first);
-        let ends = ends.chain([self.next_id]);
-        for (&(first, anchor), end) in self.anchors.iter().zip(ends) {
-            let Some((_, new_from_old)) = moves.iter().find(|(id, _)| *id == anchor) else {
-                continue;
-            };
-            for id in (first..end).map(u64::from) {
+        let ids_of_moved = self.ids_by_anchor().filter_map(|(anchor, ids)| {
+            let (_, new_from_old) = moves.iter().find(|(id, _)| *id == anchor)?;
+            Some((new_from_old, ids))
+        });
+        let ids_of_moved: Vec<_> = ids_of_moved.collect();
+        for (new_from_old, ids) in ids_of_moved {
+            for id in ids {
                 if let Some(point) = self.points.get(id) {
                     let moved = point.transformed(new_from_old);
                     self.points.insert(id, moved);
                 }
             }
         }
+    }
+
+    /// Each keyframe that brought points, with the range of their ids.
+    fn ids_by_anchor(&self) -> impl Iterator<Item = (KeyframeId, Range<u64>)> {
+        let ends = self.anchors.iter().skip(1).map(|(first, _)| *first);
+        let ends = ends.chain([self.next_id]);
+        let both = self.anchors.iter().zip(ends);
+        both.map(|((first, anchor), end)| (*anchor, (*first).into()..end.into()))
     }
 }
 

@@ -106,19 +106,18 @@ impl Tracker {
         } else {
             None
         };
-        let mut quality = TrackingQuality {
-            points: points.len(),
-            sparse_points,
-            ..TrackingQuality::default()
-        };
         let mut tracked = Tracked {
             verdict: Verdict::Lost,
             world_from_camera: None,
-            quality,
+            quality: TrackingQuality {
+                points: points.len(),
+                sparse_points,
+                ..TrackingQuality::default()
+            },
             work: None,
         };
         if let Some(attempt) = found {
-            quality.of(&attempt.evidence);
+            tracked.quality.take_over(&attempt.evidence);
             tracked.verdict = self.believe(&attempt);
             if tracked.verdict > Verdict::Lost {
                 tracked.world_from_camera = Some(attempt.located.world_from_camera);
@@ -128,12 +127,9 @@ impl Tracker {
                 tracked.work = self.work(attempt, &points, admission);
             }
         } else if self.newest_keyframe.is_some() {
-            self.footing = self.stumbled();
+            self.stumble();
         }
-        tracked.quality = TrackingQuality {
-            duration: start.elapsed(),
-            ..quality
-        };
+        tracked.quality.duration = start.elapsed();
         tracked
     }
 
@@ -234,34 +230,26 @@ impl Tracker {
     /// What a frame's own verdict is worth after those before it.
     fn believe(&mut self, attempt: &Attempt) -> Verdict {
         let own = attempt.verdict;
-        if own == Verdict::Lost {
-            self.footing = self.stumbled();
-            return own;
-        }
         let is_a_find = own == Verdict::Tracked && attempt.evidence.is_a_find();
-        let (footing, verdict) = match std::mem::replace(&mut self.footing, Footing::Firm) {
-            Footing::Firm => (Footing::Firm, own),
-            Footing::Lost if !is_a_find => (Footing::Lost, Verdict::Lost),
-            Footing::Lost if attempt.is_doubtful || attempt.is_relocalized => {
-                let before = self.motion.clone();
-                (Footing::Found { before }, Verdict::Weak)
-            }
-            Footing::Found { before } if !is_a_find => {
-                self.motion = before;
-                (Footing::Lost, Verdict::Lost)
-            }
-            Footing::Lost | Footing::Found { .. } => (Footing::Firm, own),
-        };
-        self.footing = footing;
-        verdict
+        if own == Verdict::Lost || !(is_a_find || matches!(self.footing, Footing::Firm)) {
+            self.stumble();
+            return Verdict::Lost;
+        }
+        if matches!(self.footing, Footing::Lost) && (attempt.is_doubtful || attempt.is_relocalized)
+        {
+            let before = self.motion.clone();
+            self.footing = Footing::Found { before };
+            return Verdict::Weak;
+        }
+        self.footing = Footing::Firm;
+        own
     }
 
-    /// The footing after a frame that is lost.
-    fn stumbled(&mut self) -> Footing {
+    /// A frame is lost, and with it what only the frame before said.
+    fn stumble(&mut self) {
         if let Footing::Found { before } = std::mem::replace(&mut self.footing, Footing::Lost) {
             self.motion = before;
         }
-        Footing::Lost
     }
 
     /// The camera is where a frame was found.

@@ -5,11 +5,12 @@
 
 use fgs_direct::Agreement;
 
+use crate::config::TrackingConfig;
+
 /// So many of a keyframe's points tell whether a frame agrees with it.
 const MIN_COMPARED: usize = 30;
 
-/// A frame's support is its likeness to a keyframe less the share of the keyframe's points that it sees
-/// through. With less than this it was not taken there.
+/// With less support by a keyframe ([`Agreement::support`]) than this, a frame was not taken there.
 const MIN_SUPPORT: f64 = 0.25;
 
 /// With this much a pose is trusted.
@@ -42,13 +43,6 @@ pub enum Verdict {
     Tracked,
 }
 
-/// Below these a frame is lost: settings of tracking.
-#[derive(Clone, Copy, Debug)]
-pub struct Limits {
-    pub min_inlier_share: f64,
-    pub min_conditioning: f64,
-}
-
 /// What speaks for a pose.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Evidence {
@@ -70,7 +64,7 @@ pub struct Evidence {
 
 impl Evidence {
     /// The verdict.
-    pub fn verdict(&self, limits: &Limits) -> Verdict {
+    pub fn verdict(&self, limits: &TrackingConfig) -> Verdict {
         let support = self.support();
         let needed = if support.is_some_and(|support| support >= CLEAR_SUPPORT) {
             limits.min_inlier_share.min(CLEAR_INLIER_SHARE)
@@ -90,7 +84,7 @@ impl Evidence {
     }
 
     /// Whether it is worth looking for a better pose.
-    pub fn is_doubtful(&self, limits: &Limits) -> bool {
+    pub fn is_doubtful(&self, limits: &TrackingConfig) -> bool {
         self.verdict(limits) < Verdict::Tracked
             || self.inlier_share < limits.min_inlier_share
             || self
@@ -122,18 +116,13 @@ impl Evidence {
     /// What a keyframe says of the pose, up to 1; `None` if too little could be compared.
     fn support(&self) -> Option<f64> {
         let seen = self.agreement.filter(|seen| seen.points >= MIN_COMPARED)?;
-        Some(seen.likeness - seen.seen_through)
+        Some(seen.support())
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    const LIMITS: Limits = Limits {
-        min_inlier_share: 0.5,
-        min_conditioning: 1e-4,
-    };
 
     fn evidence(inlier_share: f64, likeness: f64, seen_through: f64) -> Evidence {
         Evidence {
@@ -160,9 +149,13 @@ mod tests {
             [(0.78, 0.48, 0.0), (0.96, 0.95, 0.27), (0.31, 0.9, 0.0)]
         {
             let evidence = evidence(inliers, likeness, through);
-            assert_eq!(evidence.verdict(&LIMITS), Verdict::Tracked, "{evidence:?}");
+            assert_eq!(
+                evidence.verdict(&TrackingConfig::default()),
+                Verdict::Tracked,
+                "{evidence:?}"
+            );
         }
-        assert!(!evidence(0.9, 0.9, 0.0).is_doubtful(&LIMITS));
+        assert!(!evidence(0.9, 0.9, 0.0).is_doubtful(&TrackingConfig::default()));
     }
 
     #[test]
@@ -176,18 +169,30 @@ mod tests {
             (0.38, 0.9, 0.3),
         ] {
             let evidence = evidence(inliers, likeness, through);
-            assert!(evidence.verdict(&LIMITS) < Verdict::Tracked, "{evidence:?}");
-            assert!(evidence.is_doubtful(&LIMITS));
+            assert!(
+                evidence.verdict(&TrackingConfig::default()) < Verdict::Tracked,
+                "{evidence:?}"
+            );
+            assert!(evidence.is_doubtful(&TrackingConfig::default()));
         }
     }
 
     #[test]
     fn few_inliers_are_enough_only_where_the_keyframe_is_clearly_seen() {
-        assert_eq!(evidence(0.4, 0.9, 0.0).verdict(&LIMITS), Verdict::Tracked);
-        assert_eq!(evidence(0.4, 0.6, 0.0).verdict(&LIMITS), Verdict::Lost);
-        assert_eq!(evidence(0.2, 0.9, 0.0).verdict(&LIMITS), Verdict::Lost);
+        assert_eq!(
+            evidence(0.4, 0.9, 0.0).verdict(&TrackingConfig::default()),
+            Verdict::Tracked
+        );
+        assert_eq!(
+            evidence(0.4, 0.6, 0.0).verdict(&TrackingConfig::default()),
+            Verdict::Lost
+        );
+        assert_eq!(
+            evidence(0.2, 0.9, 0.0).verdict(&TrackingConfig::default()),
+            Verdict::Lost
+        );
         // A better pose is looked for all the same.
-        assert!(evidence(0.4, 0.9, 0.0).is_doubtful(&LIMITS));
+        assert!(evidence(0.4, 0.9, 0.0).is_doubtful(&TrackingConfig::default()));
     }
 
     #[test]
@@ -199,13 +204,19 @@ mod tests {
             }),
             ..evidence(inlier_share, 0.0, 0.0)
         };
-        assert_eq!(alone(0.6).verdict(&LIMITS), Verdict::Tracked);
-        assert_eq!(alone(0.4).verdict(&LIMITS), Verdict::Lost);
+        assert_eq!(
+            alone(0.6).verdict(&TrackingConfig::default()),
+            Verdict::Tracked
+        );
+        assert_eq!(
+            alone(0.4).verdict(&TrackingConfig::default()),
+            Verdict::Lost
+        );
         let unsettled = Evidence {
             converged: false,
             ..alone(0.9)
         };
-        assert_eq!(unsettled.verdict(&LIMITS), Verdict::Lost);
+        assert_eq!(unsettled.verdict(&TrackingConfig::default()), Verdict::Lost);
     }
 
     #[test]
@@ -233,7 +244,7 @@ mod tests {
             uncertainty_m: 0.03,
             ..evidence(0.9, 0.99, 0.0)
         };
-        assert_eq!(sliding.verdict(&LIMITS), Verdict::Weak);
+        assert_eq!(sliding.verdict(&TrackingConfig::default()), Verdict::Weak);
         assert!(evidence(1.0, 0.9, 0.0).is_a_find());
         // A room that looks alike.
         assert!(!evidence(0.6, 0.9, 0.0).is_a_find());

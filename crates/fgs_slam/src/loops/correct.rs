@@ -2,10 +2,10 @@
 
 use fgs_geom::{KeyframeId, Se3};
 use fgs_graph::{Edge, KeyframeGraph, OptimizeSettings, Optimized, RobustKernel};
-use nalgebra::{Matrix6, Vector6};
+use nalgebra::Matrix6;
 
 use super::detect::way;
-use super::verify::{Revisit, with_variance};
+use super::verify::{Revisit, with_errors};
 
 /// Tracking drifts by about so much from one keyframe to the next, beside what its registration
 /// knows of: standard deviations, of the way between the two (metres), and at least.
@@ -35,14 +35,15 @@ pub fn successive_edge(
     information: &Matrix6<f64>,
 ) -> Option<Edge> {
     let way = way(&from_from_to);
-    let turn = (MIN_DRIFT_RAD + DRIFT_RAD_PER_M * way).powi(2);
-    let shift = (MIN_DRIFT_M + DRIFT * way).powi(2);
-    let variances = Vector6::new(turn, turn, turn, shift, shift, shift);
+    let drift = [
+        MIN_DRIFT_RAD + DRIFT_RAD_PER_M * way,
+        MIN_DRIFT_M + DRIFT * way,
+    ];
     Some(Edge {
         from,
         to,
         from_from_to,
-        information: with_variance(information, &variances)?,
+        information: with_errors(information, drift)?,
         kernel: RobustKernel::Quadratic,
     })
 }
@@ -121,6 +122,8 @@ fn optimized(graph: &KeyframeGraph, edges: &[Edge]) -> Option<Optimized> {
 
 #[cfg(test)]
 mod tests {
+    use nalgebra::Vector6;
+
     use super::*;
 
     const STEP_M: f64 = 0.2;

@@ -24,7 +24,7 @@ const SEARCH_M: [f64; 2] = [0.06, 0.03];
 /// Two views of one surface do not differ by more, root mean square, relative to the depth.
 const MAX_RESIDUAL: f64 = 0.01;
 
-/// The likeness to the old keyframe, less the share of its points that the new one sees through.
+/// Support of the new keyframe by the old one.
 const MIN_SUPPORT: f64 = 0.5;
 
 /// So many of the old keyframe's points must be in view, and this share of them.
@@ -106,7 +106,7 @@ fn recognized(new: KeyframeId, old: KeyframeId, memory: &Memory) -> Option<(Revi
         old,
         new,
         old_from_new: relative.a_from_b,
-        information: with_floor(&relative.information, CORNERS_FLOOR)?,
+        information: with_errors(&relative.information, CORNERS_FLOOR)?,
     };
     (relative.inliers >= MIN_INLIERS).then_some((revisit, relative.inliers))
 }
@@ -117,9 +117,7 @@ fn looks_alike(new: Seen, revisit: &Revisit, memory: &Memory) -> bool {
     let depth_m = &new.frame.depth_m;
     let seen = (memory.color).agreement_with(revisit.old, new.pyramid, depth_m, &new_from_old);
     seen.is_some_and(|seen| {
-        seen.points >= MIN_COMPARED
-            && seen.share >= MIN_SHARE
-            && seen.likeness - seen.seen_through >= MIN_SUPPORT
+        seen.points >= MIN_COMPARED && seen.share >= MIN_SHARE && seen.support() >= MIN_SUPPORT
     })
 }
 
@@ -166,7 +164,7 @@ fn registered(
     holds.then_some(())?;
     Some(Revisit {
         old_from_new: (world_from_old.inverse() * pose).renormalized(),
-        information: with_floor(&memory.registrar.information(&alignment), SURFACES_FLOOR)?,
+        information: with_errors(&memory.registrar.information(&alignment), SURFACES_FLOOR)?,
         ..guess.clone()
     })
 }
@@ -179,19 +177,12 @@ impl Revisit {
     }
 }
 
-/// Information that knows of errors which do not show in residuals; `None` if there is none in some
-/// direction.
-fn with_floor(information: &Matrix6<f64>, floor: [f64; 2]) -> Option<Matrix6<f64>> {
-    let [turn, shift] = floor.map(|deviation| deviation.powi(2));
-    with_variance(
-        information,
-        &Vector6::new(turn, turn, turn, shift, shift, shift),
-    )
-}
-
-/// Information after independent errors of these variances have been added.
-pub fn with_variance(information: &Matrix6<f64>, variances: &Vector6<f64>) -> Option<Matrix6<f64>> {
-    let covariance = information.cholesky()?.inverse() + Matrix6::from_diagonal(variances);
+/// Information after independent errors of these standard deviations, of the turn (rad) and the shift
+/// (metres), have been added; `None` if there is none in some direction.
+pub fn with_errors(information: &Matrix6<f64>, deviations: [f64; 2]) -> Option<Matrix6<f64>> {
+    let [turn, shift] = deviations.map(|deviation| deviation.powi(2));
+    let variances = Vector6::new(turn, turn, turn, shift, shift, shift);
+    let covariance = information.cholesky()?.inverse() + Matrix6::from_diagonal(&variances);
     let information = covariance.cholesky()?.inverse();
     Some(0.5 * (information + information.transpose()))
 }
