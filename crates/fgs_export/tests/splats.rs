@@ -10,7 +10,7 @@ use fgs_export::{write_compressed_ply, write_splat, write_splat_glb, write_splat
 use fgs_splat::{Gaussians, SH0_FACTOR, read_ply};
 use nalgebra::{Matrix3, Quaternion, UnitQuaternion, Vector3};
 use ply_rs_bw::parser::Parser;
-use ply_rs_bw::ply::{DefaultElement, Property};
+use ply_rs_bw::ply::{DefaultElement, Ply, Property};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 use serde_json::Value;
@@ -100,14 +100,26 @@ fn floats<const N: usize>(bytes: &[u8]) -> [f32; N] {
     std::array::from_fn(|i| float(&bytes[4 * i..][..4]))
 }
 
+/// What an SPZ file holds, unpacked.
+fn spz(gaussians: &Gaussians) -> Vec<u8> {
+    let (mut file, mut bytes) = (Vec::new(), Vec::new());
+    write_spz(&mut file, gaussians).unwrap();
+    let mut unpacked = flate2::read::GzDecoder::new(file.as_slice());
+    unpacked.read_to_end(&mut bytes).unwrap();
+    bytes
+}
+
+fn parsed(mut bytes: &[u8]) -> Ply<DefaultElement> {
+    let parser = Parser::<DefaultElement>::new();
+    parser.read_ply(&mut bytes).unwrap()
+}
+
 #[test]
 fn standard_ply_holds_the_stored_values_and_nothing_else() {
     let gaussians = cloud();
     let mut bytes = Vec::new();
     write_splat_ply(&mut bytes, &gaussians).unwrap();
-    let ply = Parser::<DefaultElement>::new()
-        .read_ply(&mut bytes.as_slice())
-        .unwrap();
+    let ply = parsed(&bytes);
     let names: Vec<&str> = ply.header.elements["vertex"]
         .properties
         .keys()
@@ -165,12 +177,7 @@ fn splat() {
 #[test]
 fn spz() {
     let gaussians = cloud();
-    let mut file = Vec::new();
-    write_spz(&mut file, &gaussians).unwrap();
-    let mut bytes = Vec::new();
-    flate2::read::GzDecoder::new(file.as_slice())
-        .read_to_end(&mut bytes)
-        .unwrap();
+    let bytes = spz(&gaussians);
     let word = |at: usize| u32::from_le_bytes(bytes[at..][..4].try_into().unwrap());
     assert_eq!([word(0), word(4), word(8)], [0x5053_474e, 3, COUNT as u32]);
     let [degree, fractional_bits, flags, reserved] = bytes[12..16].try_into().unwrap();
@@ -222,12 +229,7 @@ fn spz() {
 fn spz_of_a_large_world() {
     let mut gaussians = cloud();
     gaussians.means[0] = [1000.0, -3000.0, 0.0];
-    let mut file = Vec::new();
-    write_spz(&mut file, &gaussians).unwrap();
-    let mut bytes = Vec::new();
-    flate2::read::GzDecoder::new(file.as_slice())
-        .read_to_end(&mut bytes)
-        .unwrap();
+    let bytes = spz(&gaussians);
     let coordinate = |axis: usize| {
         let [a, b, c] = bytes[16 + 3 * axis..][..3].try_into().unwrap();
         let steps = i32::from_le_bytes([0, a, b, c]) >> 8;
@@ -242,9 +244,7 @@ fn compressed_ply() {
     let gaussians = cloud();
     let mut bytes = Vec::new();
     write_compressed_ply(&mut bytes, &gaussians).unwrap();
-    let ply = Parser::<DefaultElement>::new()
-        .read_ply(&mut bytes.as_slice())
-        .unwrap();
+    let ply = parsed(&bytes);
     let (chunks, vertices) = (&ply.payload["chunk"], &ply.payload["vertex"]);
     assert_eq!((chunks.len(), vertices.len()), (COUNT.div_ceil(256), COUNT));
     let mut found = vec![false; COUNT];
