@@ -1,8 +1,7 @@
-//! Least-squares rigid alignment of two point sets, without scale (B. K. P. Horn, "Closed-form
-//! solution of absolute orientation using unit quaternions", 1987).
+//! Alignment of an estimated trajectory's positions with the reference's, without scale.
 
-use fgs_geom::Se3;
-use nalgebra::{Matrix3, Matrix4, Quaternion, SymmetricEigen, UnitQuaternion, Vector3};
+use fgs_geom::{Se3, rigid_alignment};
+use nalgebra::Vector3;
 
 /// The transform `reference_from_estimated` that minimises the sum of squared distances between
 /// `reference[i]` and the transformed `estimated[i]`. The lists must have equal length and hold
@@ -11,34 +10,7 @@ use nalgebra::{Matrix3, Matrix4, Quaternion, SymmetricEigen, UnitQuaternion, Vec
 /// Collinear or coincident points do not determine the rotation: one of the minimisers is returned,
 /// and the distances are the same for all of them.
 pub fn align_positions(estimated: &[Vector3<f64>], reference: &[Vector3<f64>]) -> Se3 {
-    let mean =
-        |points: &[Vector3<f64>]| points.iter().sum::<Vector3<f64>>() / points.len().max(1) as f64;
-    let (estimated_mean, reference_mean) = (mean(estimated), mean(reference));
-    let covariance: Matrix3<f64> = (estimated.iter().zip(reference))
-        .map(|(e, r)| (e - estimated_mean) * (r - reference_mean).transpose())
-        .sum();
-    let rotation = best_rotation(&covariance);
-    Se3::new(rotation, reference_mean - rotation * estimated_mean)
-}
-
-/// The rotation R that maximises `trace(R * covariance)`: the eigenvector of Horn's matrix N with
-/// the largest eigenvalue, as a quaternion.
-fn best_rotation(covariance: &Matrix3<f64>) -> UnitQuaternion<f64> {
-    let largest = covariance.amax();
-    if largest == 0.0 {
-        return UnitQuaternion::identity();
-    }
-    let s = covariance / largest;
-    #[rustfmt::skip]
-    let n = Matrix4::new(
-        s.m11 + s.m22 + s.m33, s.m23 - s.m32, s.m31 - s.m13, s.m12 - s.m21,
-        s.m23 - s.m32, s.m11 - s.m22 - s.m33, s.m12 + s.m21, s.m31 + s.m13,
-        s.m31 - s.m13, s.m12 + s.m21, s.m22 - s.m11 - s.m33, s.m23 + s.m32,
-        s.m12 - s.m21, s.m31 + s.m13, s.m23 + s.m32, s.m33 - s.m11 - s.m22,
-    );
-    let eigen = SymmetricEigen::new(n);
-    let q = eigen.eigenvectors.column(eigen.eigenvalues.imax());
-    UnitQuaternion::from_quaternion(Quaternion::new(q[0], q[1], q[2], q[3]))
+    rigid_alignment(reference, estimated).unwrap_or_else(Se3::identity)
 }
 
 #[cfg(test)]

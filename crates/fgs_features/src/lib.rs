@@ -16,7 +16,6 @@ mod features;
 mod matching;
 mod pyramid;
 mod relative_pose;
-mod rigid_alignment;
 
 pub use descriptor::Descriptor;
 pub use features::{Feature, Features};

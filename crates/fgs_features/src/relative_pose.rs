@@ -4,13 +4,12 @@
 //! new best (Chum, Matas and Kittler 2003), truncated squared errors as score (Torr and Zisserman
 //! 2000).
 
-use fgs_geom::{Camera, Se3};
+use fgs_geom::{Camera, Se3, rigid_alignment};
 use nalgebra::{Matrix6, Vector2, Vector3};
 use rand::{Rng, RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 
 use crate::agreement::{MAX_SQUARED_ERROR, Motion, NormalEquations, Pair, depth_noise_m};
-use crate::rigid_alignment::rigid_alignment;
 use crate::{Features, Match};
 
 /// Fewer matches that agree prove nothing. Of 2600 pairs of real frames that show different places
@@ -131,7 +130,8 @@ fn search(pairs: &[Pair], rng: &mut impl Rng) -> Option<Se3> {
         if !is_rigid(triple) {
             continue;
         }
-        let Some(motion) = rigid_alignment(triple.map(|[a, _]| a), triple.map(|[_, b]| b)) else {
+        let Some(motion) = rigid_alignment(&triple.map(|[a, _]| *a), &triple.map(|[_, b]| *b))
+        else {
             continue;
         };
         motions += 1;

@@ -12,6 +12,7 @@ mod frame;
 mod image;
 mod instructions;
 mod pixel_map;
+mod rigid_alignment;
 mod rolling_shutter;
 mod se3;
 
@@ -23,5 +24,6 @@ pub use frame::{FrameError, FrameIndex, KeyframeId, RgbdFrame};
 pub use image::{Image, ImageSizeError};
 pub use instructions::{Instructions, InstructionsError, Kernel, dispatch};
 pub use pixel_map::PixelMap;
+pub use rigid_alignment::rigid_alignment;
 pub use rolling_shutter::row_delay_secs;
 pub use se3::{Se3, inverse_left_jacobian, skew};

@@ -1,18 +1,18 @@
 //! The rigid motion between two sets of points: least squares in closed form (Kabsch 1976).
 
-use fgs_geom::Se3;
 use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
 
-/// The motion `a_from_b` that takes points of `b` nearest to those of `a`, pair by pair, metres.
-/// `None` if a point is not finite. It is not unique if the points lie on a line.
-pub(crate) fn rigid_alignment<const N: usize>(
-    a: [&Vector3<f64>; N],
-    b: [&Vector3<f64>; N],
-) -> Option<Se3> {
-    let center = |points: [&Vector3<f64>; N]| points.into_iter().sum::<Vector3<f64>>() / N as f64;
+use crate::Se3;
+
+/// The motion `a_from_b` that takes the points of `b` nearest to those of `a`, pair by pair, without
+/// scale: it minimises the sum of squared distances. The lists have equal length. `None` if a point is
+/// not finite. It is one of several if the points lie on a line.
+pub fn rigid_alignment(a: &[Vector3<f64>], b: &[Vector3<f64>]) -> Option<Se3> {
+    let center =
+        |points: &[Vector3<f64>]| points.iter().sum::<Vector3<f64>>() / points.len().max(1) as f64;
     let (center_a, center_b) = (center(a), center(b));
     let mut covariance = Matrix3::zeros();
-    for (a, b) in a.into_iter().zip(b) {
+    for (a, b) in a.iter().zip(b) {
         covariance += (a - center_a) * (b - center_b).transpose();
     }
     if !covariance.iter().all(|value| value.is_finite()) {
@@ -40,7 +40,7 @@ mod tests {
         let motion = Se3::exp(&Vector6::new(0.9, -1.5, 2.0, 0.3, -4.0, 1.0));
         let b = [[0.1, 0.2, 2.0], [1.0, -0.3, 1.5], [-0.4, 0.9, 3.0]].map(Vector3::from);
         let a = b.map(|point| motion.transform(&point));
-        let found = rigid_alignment(a.each_ref(), b.each_ref()).unwrap();
+        let found = rigid_alignment(&a, &b).unwrap();
         assert!((found.matrix() - motion.matrix()).amax() <= 1e-12);
     }
 
@@ -48,7 +48,7 @@ mod tests {
     fn the_answer_is_never_a_reflection() {
         let b = [[1.0, 0.0, 0.0], [0.0, 2.0, 0.0], [0.0, 0.0, 3.0], [0.0; 3]].map(Vector3::from);
         let a = b.map(|point| Vector3::new(-point.x, point.y, point.z));
-        let found = rigid_alignment(a.each_ref(), b.each_ref()).unwrap();
+        let found = rigid_alignment(&a, &b).unwrap();
         let matrix = found.rotation.to_rotation_matrix().into_inner();
         assert!((matrix * matrix.transpose() - Matrix3::identity()).amax() <= 1e-12);
         assert!((matrix.determinant() - 1.0).abs() <= 1e-12);
@@ -59,8 +59,8 @@ mod tests {
         let b = [[0.1, 0.2, 2.0], [1.0, -0.3, 1.5], [-0.4, 0.9, 3.0]].map(Vector3::from);
         let mut a = b;
         a[1].y = f64::NAN;
-        assert!(rigid_alignment(a.each_ref(), b.each_ref()).is_none());
+        assert!(rigid_alignment(&a, &b).is_none());
         a[1].y = f64::INFINITY;
-        assert!(rigid_alignment(a.each_ref(), b.each_ref()).is_none());
+        assert!(rigid_alignment(&a, &b).is_none());
     }
 }
