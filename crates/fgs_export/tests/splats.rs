@@ -101,7 +101,7 @@ fn floats<const N: usize>(bytes: &[u8]) -> [f32; N] {
 }
 
 /// What an SPZ file holds, unpacked.
-fn spz(gaussians: &Gaussians) -> Vec<u8> {
+fn unpacked_spz(gaussians: &Gaussians) -> Vec<u8> {
     let (mut file, mut bytes) = (Vec::new(), Vec::new());
     write_spz(&mut file, gaussians).unwrap();
     let mut unpacked = flate2::read::GzDecoder::new(file.as_slice());
@@ -177,7 +177,7 @@ fn splat() {
 #[test]
 fn spz() {
     let gaussians = cloud();
-    let bytes = spz(&gaussians);
+    let bytes = unpacked_spz(&gaussians);
     let word = |at: usize| u32::from_le_bytes(bytes[at..][..4].try_into().unwrap());
     assert_eq!([word(0), word(4), word(8)], [0x5053_474e, 3, COUNT as u32]);
     let [degree, fractional_bits, flags, reserved] = bytes[12..16].try_into().unwrap();
@@ -229,7 +229,7 @@ fn spz() {
 fn spz_of_a_large_world() {
     let mut gaussians = cloud();
     gaussians.means[0] = [1000.0, -3000.0, 0.0];
-    let bytes = spz(&gaussians);
+    let bytes = unpacked_spz(&gaussians);
     let coordinate = |axis: usize| {
         let [a, b, c] = bytes[16 + 3 * axis..][..3].try_into().unwrap();
         let steps = i32::from_le_bytes([0, a, b, c]) >> 8;
