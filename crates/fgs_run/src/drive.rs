@@ -108,6 +108,7 @@ fn row_of(frame: &FrameResult) -> FrameRow {
         conditioning: tracking.map(|tracking| tracking.conditioning),
         likeness: agreement.map(|agreement| agreement.likeness),
         seen_through: agreement.map(|agreement| agreement.seen_through),
+        moving_share: tracking.map(|tracking| tracking.moving_share),
         tracking_ms: tracking.map(|tracking| 1e3 * tracking.duration.as_secs_f64()),
         ..FrameRow::new(frame.index.0, frame.status)
     }

@@ -35,6 +35,8 @@ pub struct FrameRow {
     pub likeness: Option<f64>,
     /// Share of a keyframe's points that it sees through: it measures more depth there.
     pub seen_through: Option<f64>,
+    /// Share of the image that was left out because it moves.
+    pub moving_share: Option<f64>,
     /// Wall-clock time of tracking, milliseconds.
     pub tracking_ms: Option<f64>,
     /// How well the map shows it: the last columns.
@@ -43,7 +45,7 @@ pub struct FrameRow {
 }
 
 /// The columns before the scores, named as the fields of [`FrameRow`] and in their order.
-const COLUMNS: [&str; 12] = [
+const COLUMNS: [&str; 13] = [
     "index",
     "timestamp_secs",
     "status",
@@ -55,6 +57,7 @@ const COLUMNS: [&str; 12] = [
     "conditioning",
     "likeness",
     "seen_through",
+    "moving_share",
     "tracking_ms",
 ];
 
@@ -73,6 +76,7 @@ impl FrameRow {
             conditioning: None,
             likeness: None,
             seen_through: None,
+            moving_share: None,
             tracking_ms: None,
             scores: Scores::default(),
         }
@@ -141,6 +145,7 @@ mod tests {
         tracked.conditioning = Some(0.5);
         tracked.likeness = Some(0.9);
         tracked.seen_through = Some(0.125);
+        tracked.moving_share = Some(0.0625);
         tracked.tracking_ms = Some(7.0);
         tracked.scores = Scores::of_frame(&FrameErrors {
             image: ImageQuality {
@@ -173,7 +178,7 @@ mod tests {
         assert_eq!(
             String::from_utf8(text).unwrap(),
             "index,timestamp_secs,status,keyframe,points,sparse_points,inliers,residual_m,\
-             conditioning,likeness,seen_through,tracking_ms,psnr_valid_depth_db,psnr_db,psnr_paper_db,\
+             conditioning,likeness,seen_through,moving_share,tracking_ms,psnr_valid_depth_db,psnr_db,psnr_paper_db,\
              psnr_exposure_valid_depth_db,psnr_exposure_db,ssim,depth_l1_m\n"
         );
     }

@@ -63,6 +63,8 @@ pub struct FrameResult {
 pub struct TrackingQuality {
     /// How many of its points have a surface and were to be registered.
     pub points: usize,
+    /// The share of the image that was left out because it moves.
+    pub moving_share: f64,
     /// How many points the sparse map had then.
     pub sparse_points: usize,
     /// How many of its points correspond to the sparse map.

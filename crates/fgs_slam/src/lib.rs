@@ -19,6 +19,7 @@ mod map_alignment;
 mod mapper;
 mod missing;
 mod motion;
+mod moving;
 mod prepare;
 mod refinement;
 mod registrar;

@@ -5,6 +5,8 @@
 //! other starts are tried (relocalizer.rs), and the best pose is judged (verdict.rs). Where a lost camera
 //! is found by the look of a place, a second frame has to agree.
 //!
+//! What moves is left out (moving.rs), and the frame registered again without it.
+//!
 //! Differs from the paper: it starts from a constant-velocity prediction, its target grows
 //! incrementally, every frame gets a verdict instead of a silent failure, and what the rows of a
 //! rolling shutter saw is brought to one moment.
@@ -25,6 +27,7 @@ use crate::keyframes::{Admission, FrameWork, Keyframe, KeyframeKind, KeyframePol
 use crate::loops::Memory;
 use crate::map_alignment::FrameToAlign;
 use crate::motion::MotionModel;
+use crate::moving::{Moving, MovingThings};
 use crate::registrar::{Attempt, Known, Located, Measured, Registrar, Start, shared};
 use crate::relocalizer::{Guess, Relocalizer};
 use crate::sparse_map::SparseMap;
@@ -41,6 +44,7 @@ pub struct Tracker {
     color: ColorAligner,
     relocalizer: Relocalizer,
     motion: MotionModel,
+    moving: MovingThings,
     footing: Footing,
     newest_keyframe: Option<KeyframeId>,
     /// The last trusted frame that was not held out, unless it became a keyframe.
@@ -81,6 +85,7 @@ impl Tracker {
             color: ColorAligner::default(),
             relocalizer: Relocalizer::default(),
             motion: MotionModel::default(),
+            moving: MovingThings::default(),
             footing: Footing::Firm,
             newest_keyframe: None,
             unmapped: None,
@@ -92,26 +97,24 @@ impl Tracker {
     /// the next frame. Without a map, a frame that is not allowed is lost: it cannot start one.
     pub fn track(&mut self, frame: &Arc<RgbdFrame>, admission: Admission) -> Tracked {
         let start = Instant::now();
-        let points = self.grid.surface_points(&frame.depth_m, &frame.camera);
         let sparse_points = self.map.points().len();
-        let measured = Measured {
-            frame,
-            points: &points,
-        };
-        let found = if self.newest_keyframe.is_some() {
-            self.find(measured)
-        } else if admission == Admission::Allowed {
-            let origin = Se3::identity();
-            self.registrar.place(measured, self.known(), &origin)
-        } else {
-            None
-        };
+        let mut points = self.grid.surface_points(&frame.depth_m, &frame.camera);
+        let mut found = self.find(frame, &points, admission);
+        let moving = found
+            .as_ref()
+            .and_then(|attempt| (self.moving).find(frame, &attempt.located.world_from_camera));
+        if let Some(moving) = &moving {
+            let still = Arc::new(moving.left_out_of(frame));
+            points = self.grid.surface_points(&still.depth_m, &still.camera);
+            found = self.find(&still, &points, admission);
+        }
         let mut tracked = Tracked {
             verdict: Verdict::Lost,
             world_from_camera: None,
             quality: TrackingQuality {
                 points: points.len(),
                 sparse_points,
+                moving_share: moving.as_ref().map_or(0.0, Moving::share),
                 ..TrackingQuality::default()
             },
             work: None,
@@ -124,6 +127,8 @@ impl Tracker {
                 self.stand_at(&attempt);
             }
             if tracked.verdict == Verdict::Tracked {
+                let pose = &attempt.located.world_from_camera;
+                self.moving.observe(frame, pose, moving.as_ref());
                 tracked.work = self.work(attempt, &points, admission);
             }
         } else if self.newest_keyframe.is_some() {
@@ -161,6 +166,7 @@ impl Tracker {
             .find(|(id, _)| Some(*id) == self.newest_keyframe);
         if let Some((_, new_from_old)) = newest {
             self.motion.move_world(new_from_old);
+            self.moving.move_world(new_from_old);
             self.relocalizer.move_camera(new_from_old);
             if let Footing::Found { before } = &mut self.footing {
                 before.move_world(new_from_old);
@@ -190,8 +196,19 @@ impl Tracker {
         }
     }
 
-    /// The best pose of a frame that can be found; `None` if it cannot be registered at all.
-    fn find(&self, measured: Measured) -> Option<Attempt> {
+    /// The best pose of a frame that can be found; `None` if it cannot be registered at all, or cannot
+    /// start the map.
+    fn find(
+        &self,
+        frame: &Arc<RgbdFrame>,
+        points: &[SurfacePoint],
+        admission: Admission,
+    ) -> Option<Attempt> {
+        let measured = Measured { frame, points };
+        if self.newest_keyframe.is_none() {
+            let place = || (self.registrar).place(measured, self.known(), &Se3::identity());
+            return (admission == Admission::Allowed).then(place).flatten();
+        }
         let attempt = |start: &Start| self.registrar.attempt(measured, self.known(), start);
         let predicted = self.motion.predict(measured.frame.timestamp_secs)?;
         let is_clear = |best: &Option<Attempt>| best.as_ref().is_some_and(|best| !best.is_doubtful);

@@ -113,9 +113,10 @@ fn a_camera_that_nothing_holds_is_not_trusted() {
 }
 
 #[test]
-#[ignore = "known defect: someone near joins the map and drags the camera along"]
 fn someone_who_walks_by_does_not_take_the_camera_along() {
-    Run::of("passer-by").assert_honest();
+    let run = Run::of("passer-by");
+    run.assert_honest();
+    run.assert_found_again();
 }
 
 #[test]
