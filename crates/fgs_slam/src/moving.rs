@@ -13,10 +13,15 @@ use nalgebra::Vector3;
 /// pose that is a little off moves no edge by more than a cell.
 const CELLS_ACROSS: usize = 80;
 
-/// A frame is kept to compare with this often, and so many of them. What stands still for as long as they
-/// reach back is not moving.
+/// A frame is kept to compare with this often, and so many of them.
 const INTERVAL_SECS: f64 = 0.5;
 const KEPT: usize = 6;
+
+/// What has moved may move again: it is taken in when it has stood still for so long.
+const STILL_SECS: f64 = 20.0;
+
+/// When a cell moved that never did.
+const NEVER: f64 = f64::NEG_INFINITY;
 
 /// Something stands in front of what an earlier frame saw if it is nearer by more than this, metres, and
 /// this share of its depth: noise of far depth, and errors of poses.
@@ -38,7 +43,8 @@ pub struct MovingThings {
 
 /// What moves in a frame.
 pub struct Moving {
-    cells: Image<bool>,
+    /// When each cell last moved.
+    moved_secs: Image<f64>,
     side_px: usize,
 }
 
@@ -46,8 +52,9 @@ pub struct Moving {
 struct Seen {
     timestamp_secs: f64,
     world_from_camera: Se3,
-    /// Without what moved: it tells nothing of what stands still.
     cells: Cells,
+    /// When each cell last moved.
+    moved_secs: Image<f64>,
     /// Nothing was nearer than this around a cell; 0 where that is not known.
     free_to_m: Image<f32>,
 }
@@ -64,8 +71,8 @@ struct Cells {
 /// What earlier frames say of a cell.
 #[derive(Clone, Copy, PartialEq)]
 enum Cell {
-    /// Nothing was there.
-    Moved,
+    /// Nothing was there, or something that moved at this time.
+    Moved { secs: f64 },
     /// Something was there.
     Known,
     /// They did not see the place.
@@ -76,24 +83,26 @@ impl MovingThings {
     /// What moves in a frame; `None` if all of it stands still.
     pub fn find(&self, frame: &RgbdFrame, world_from_camera: &Se3) -> Option<Moving> {
         let cells = Cells::new(frame);
-        let said = self.compare(&cells, world_from_camera);
+        let said = self.compare(&cells, world_from_camera, frame.timestamp_secs);
         let (width, height) = (said.width(), said.height());
-        let mut moving = Image::filled(width, height, false);
+        let mut moved_secs = Image::filled(width, height, NEVER);
         let mut is_visited = Image::filled(width, height, false);
         for (u, v) in (0..height).flat_map(|v| (0..width).map(move |u| (u, v))) {
-            if said.at(u, v) != Cell::Moved || is_visited.at(u, v) {
+            if !said.at(u, v).has_moved() || is_visited.at(u, v) {
                 continue;
             }
             let thing = connected(u, v, &said, &cells, &mut is_visited);
-            if has_moved(&thing, &said) {
-                let with_margin = thing
-                    .iter()
-                    .flat_map(|(u, v)| around(*u, *v, width, height));
-                with_margin.for_each(|(u, v)| moving.set(u, v, true));
+            let secs = moved_at(&thing, &said);
+            let with_margin = thing
+                .iter()
+                .flat_map(|(u, v)| around(*u, *v, width, height));
+            for (u, v) in with_margin {
+                moved_secs.set(u, v, moved_secs.at(u, v).max(secs));
             }
         }
-        moving.data().contains(&true).then_some(Moving {
-            cells: moving,
+        let moves = moved_secs.data().iter().any(|secs| *secs > NEVER);
+        moves.then_some(Moving {
+            moved_secs,
             side_px: cells.side_px,
         })
     }
@@ -106,16 +115,16 @@ impl MovingThings {
         }
         let horizon = frame.timestamp_secs - KEPT as f64 * INTERVAL_SECS;
         self.seen.retain(|seen| seen.timestamp_secs >= horizon);
-        let mut cells = Cells::new(frame);
-        let free_to_m = cells.nearest_around();
-        let moves = moving.map_or(&[][..], |moving| moving.cells.data());
-        for (nearest_m, moves) in cells.nearest_m.data_mut().iter_mut().zip(moves) {
-            *nearest_m = if *moves { 0.0 } else { *nearest_m };
-        }
+        let cells = Cells::new(frame);
+        let (width, height) = (cells.nearest_m.width(), cells.nearest_m.height());
         self.seen.push_back(Seen {
             timestamp_secs: frame.timestamp_secs,
             world_from_camera: *world_from_camera,
-            free_to_m,
+            free_to_m: cells.nearest_around(),
+            moved_secs: moving.map_or_else(
+                || Image::filled(width, height, NEVER),
+                |moving| moving.moved_secs.clone(),
+            ),
             cells,
         });
     }
@@ -127,7 +136,7 @@ impl MovingThings {
         }
     }
 
-    fn compare(&self, cells: &Cells, world_from_camera: &Se3) -> Image<Cell> {
+    fn compare(&self, cells: &Cells, world_from_camera: &Se3, now_secs: f64) -> Image<Cell> {
         let (width, height) = (cells.nearest_m.width(), cells.nearest_m.height());
         let mut said = Image::filled(width, height, Cell::New);
         for seen in &self.seen {
@@ -137,12 +146,8 @@ impl MovingThings {
                 let Some(point) = cells.point(u, v) else {
                     continue;
                 };
-                if said.at(u, v) != Cell::Moved {
-                    match seen.at(&(rotation * point + seen_from_camera.translation)) {
-                        Cell::New => {}
-                        known => said.set(u, v, known),
-                    }
-                }
+                let point = rotation * point + seen_from_camera.translation;
+                said.set(u, v, said.at(u, v).and(seen.at(&point, now_secs)));
             }
         }
         said
@@ -152,15 +157,15 @@ impl MovingThings {
 impl Moving {
     /// The share of the image that moves.
     pub fn share(&self) -> f64 {
-        let moving = self.cells.data().iter().filter(|moves| **moves);
-        moving.count() as f64 / self.cells.data().len() as f64
+        let moving = (self.moved_secs.data().iter()).filter(|secs| **secs > NEVER);
+        moving.count() as f64 / self.moved_secs.data().len() as f64
     }
 
     /// The frame without it.
     pub fn left_out_of(&self, frame: &RgbdFrame) -> RgbdFrame {
         let cell = |at: usize, across: usize| (at / self.side_px).min(across - 1);
-        let (across, down) = (self.cells.width(), self.cells.height());
-        let moves = |u, v| self.cells.at(cell(u, across), cell(v, down));
+        let (across, down) = (self.moved_secs.width(), self.moved_secs.height());
+        let moves = |u, v| self.moved_secs.at(cell(u, across), cell(v, down)) > NEVER;
         let mut still = frame.clone();
         let (width, height) = (frame.camera.width, frame.camera.height);
         still.depth_m = Image::from_fn(width, height, |u, v| {
@@ -177,19 +182,39 @@ impl Moving {
     }
 }
 
+impl Cell {
+    fn has_moved(self) -> bool {
+        matches!(self, Self::Moved { .. })
+    }
+
+    /// What two frames say together.
+    fn and(self, other: Self) -> Self {
+        match (self, other) {
+            (Self::Moved { secs: a }, Self::Moved { secs: b }) => Self::Moved { secs: a.max(b) },
+            (Self::Moved { .. }, _) | (_, Self::New) => self,
+            _ => other,
+        }
+    }
+}
+
 impl Seen {
     /// What this frame says of a point in its camera's axes.
-    fn at(&self, point: &Vector3<f64>) -> Cell {
+    fn at(&self, point: &Vector3<f64>, now_secs: f64) -> Cell {
         let Some((u, v)) = self.cells.cell(point) else {
             return Cell::New;
         };
         let margin = MARGIN_M + MARGIN * point.z;
         let free_to_m = f64::from(self.free_to_m.at(u, v));
         let nearest_m = f64::from(self.cells.nearest_m.at(u, v));
+        let moved_secs = self.moved_secs.at(u, v);
         if free_to_m > point.z + margin {
-            Cell::Moved
-        } else if nearest_m > 0.0 && nearest_m >= point.z - margin {
+            Cell::Moved { secs: now_secs }
+        } else if nearest_m == 0.0 || nearest_m < point.z - margin {
+            Cell::New
+        } else if moved_secs == NEVER {
             Cell::Known
+        } else if nearest_m < point.z + margin && now_secs - moved_secs < STILL_SECS {
+            Cell::Moved { secs: moved_secs }
         } else {
             Cell::New
         }
@@ -283,14 +308,22 @@ fn connected(
     thing
 }
 
-/// Whether a thing is large enough to be one. A strip is the edge of something, seen from a pose that is a
-/// little off.
-fn has_moved(thing: &[(usize, usize)], said: &Image<Cell>) -> bool {
+/// When a thing last moved, if it is large enough to be one. A strip is the edge of something, seen from a
+/// pose that is a little off.
+fn moved_at(thing: &[(usize, usize)], said: &Image<Cell>) -> f64 {
     let (width, height) = (said.width(), said.height());
-    let is_moved = |(u, v): (usize, usize)| said.at(u, v) == Cell::Moved;
-    let moved = thing.iter().filter(|cell| is_moved(**cell)).count();
-    moved as f64 > MIN_SHARE * (width * height) as f64
-        && (thing.iter()).any(|(u, v)| around(*u, *v, width, height).all(is_moved))
+    let has_moved = |(u, v): (usize, usize)| said.at(u, v).has_moved();
+    let is_thick = |(u, v): &(usize, usize)| around(*u, *v, width, height).all(has_moved);
+    let times = thing.iter().filter_map(|(u, v)| match said.at(*u, *v) {
+        Cell::Moved { secs } => Some(secs),
+        _ => None,
+    });
+    let is_large = times.clone().count() as f64 > MIN_SHARE * (width * height) as f64;
+    if is_large && thing.iter().any(is_thick) {
+        times.fold(NEVER, f64::max)
+    } else {
+        NEVER
+    }
 }
 
 #[cfg(test)]
@@ -355,15 +388,15 @@ mod tests {
     #[test]
     fn a_thing_moves_and_is_taken_in_after_it_has_stood_still() {
         let walk = (0..20).map(|i| 0.05 * f64::from(i) - 0.5);
-        let shares = shares(walk.chain([0.45; 60]), 0.0);
+        let shares = shares(walk.chain([0.45; 300]), 0.0);
         // It takes up a third of the image.
         assert!(
             shares[8..20].iter().all(|share| (0.2..0.5).contains(share)),
             "{shares:?}"
         );
-        let taken_in = 20 + (KEPT as f64 * INTERVAL_SECS / FRAME_SECS) as usize + 6;
+        let taken_in = 20 + ((KEPT as f64 * INTERVAL_SECS + STILL_SECS) / FRAME_SECS) as usize + 6;
         assert!(
-            shares[20..40].iter().all(|share| *share > 0.05),
+            shares[20..200].iter().all(|share| *share > 0.2),
             "{shares:?}"
         );
         assert!(

@@ -113,10 +113,12 @@ fn a_camera_that_nothing_holds_is_not_trusted() {
 }
 
 #[test]
-fn someone_who_walks_by_does_not_take_the_camera_along() {
-    let run = Run::of("passer-by");
-    run.assert_honest();
-    run.assert_found_again();
+fn someone_who_walks_by_or_stays_a_while_does_not_take_the_camera_along() {
+    for name in ["passer-by", "visitor"] {
+        let run = Run::of(name);
+        run.assert_honest();
+        run.assert_found_again();
+    }
 }
 
 #[test]

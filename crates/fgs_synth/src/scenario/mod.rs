@@ -26,7 +26,7 @@ const SEED: u64 = 3;
 type Director = fn(&mut Scenario);
 
 /// By name.
-const DIRECTORS: [(&str, Director); 15] = [
+const DIRECTORS: [(&str, Director); 16] = [
     ("bare-wall", plain::bare_wall),
     ("corridor", plain::corridor),
     ("other-room", motion::other_room),
@@ -38,6 +38,7 @@ const DIRECTORS: [(&str, Director); 15] = [
     ("unknown-place", motion::unknown_place),
     ("exposure", sight::exposure),
     ("passer-by", passer_by::passer_by),
+    ("visitor", passer_by::visitor),
     ("5-hz", motion::five_hz),
     ("twice", motion::twice),
     ("repeated", motion::repeated),

@@ -18,22 +18,43 @@ use crate::sequence::FRAMES_PER_SECOND;
 
 /// Someone walks by at a metre and a quarter, at a metre a second.
 pub(super) fn passer_by(scenario: &mut Scenario) {
+    let room = Arc::new(room_with_someone(|at| (at - 60.0) / FRAMES_PER_SECOND));
+    scenario.film(&room, stretch(0.0, 20.0, 20));
+    scenario.disturb(&room, stretch(20.0, 100.0, 80));
+    scenario.film(&room, stretch(100.0, 110.0, 10));
+}
+
+/// Someone comes, stands before a slow camera for five seconds, and goes.
+pub(super) fn visitor(scenario: &mut Scenario) {
+    const SLOWNESS: f64 = 15.0;
+    let comes = 52.0..55.0;
+    let goes = 65.0..68.0;
+    let (start, end) = (comes.start, goes.end);
+    let room = Arc::new(room_with_someone(move |at| {
+        let (left, right) = (comes.end - at, at - goes.start);
+        (right.max(0.0) - left.max(0.0)) * SLOWNESS / FRAMES_PER_SECOND
+    }));
+    let frames = |points: f64| (SLOWNESS * points) as usize;
+    scenario.film(&room, stretch(start - 2.0, start, frames(2.0)));
+    scenario.disturb(&room, stretch(start, end, frames(end - start)));
+    scenario.film(&room, stretch(end, end + 2.0, frames(2.0)));
+}
+
+/// A room in which someone walks past the camera of frame 60, a metre and a quarter before it. `right_m`
+/// says how far to the right of its view, by the point of the path.
+fn room_with_someone(right_m: impl Fn(f64) -> f64 + Send + Sync + 'static) -> Stage {
     let camera = CameraPath::new(SEED).world_from_camera(60.0 / FRAMES_PER_LOOP as f64);
     let ahead = camera.rotation * Vector3::z();
     let right = camera.rotation * Vector3::x();
     let way = move |at: f64| {
-        let place = camera.translation + 1.25 * ahead + (at - 60.0) / FRAMES_PER_SECOND * right;
+        let place = camera.translation + 1.25 * ahead + right_m(at) * right;
         let on_floor = Vector3::new(place.x, place.y, 0.0);
         Se3::new(UnitQuaternion::identity(), on_floor)
     };
-    let guest = Guest {
+    Stage::furnished(SEED).with_guest(Guest {
         body: person(),
         way: Box::new(way),
-    };
-    let room = Arc::new(Stage::furnished(SEED).with_guest(guest));
-    scenario.film(&room, stretch(0.0, 20.0, 20));
-    scenario.disturb(&room, stretch(20.0, 100.0, 80));
-    scenario.film(&room, stretch(100.0, 110.0, 10));
+    })
 }
 
 /// Someone 1.75 m tall in a striped shirt, at the origin.
