@@ -122,6 +122,12 @@ fn someone_who_walks_by_or_stays_a_while_does_not_take_the_camera_along() {
 }
 
 #[test]
+#[ignore = "known defect: someone who is part of the map, and large in view, takes the camera along"]
+fn someone_who_was_there_and_leaves_does_not_take_the_camera_along() {
+    Run::of("host").assert_honest();
+}
+
+#[test]
 fn fast_and_rare_frames_are_followed_and_new_exposures_too() {
     for name in ["shake", "5-hz", "exposure"] {
         let run = Run::of(name);

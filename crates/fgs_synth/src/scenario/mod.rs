@@ -26,7 +26,7 @@ const SEED: u64 = 3;
 type Director = fn(&mut Scenario);
 
 /// By name.
-const DIRECTORS: [(&str, Director); 16] = [
+const DIRECTORS: [(&str, Director); 17] = [
     ("bare-wall", plain::bare_wall),
     ("corridor", plain::corridor),
     ("other-room", motion::other_room),
@@ -39,6 +39,7 @@ const DIRECTORS: [(&str, Director); 16] = [
     ("exposure", sight::exposure),
     ("passer-by", passer_by::passer_by),
     ("visitor", passer_by::visitor),
+    ("host", passer_by::host),
     ("5-hz", motion::five_hz),
     ("twice", motion::twice),
     ("repeated", motion::repeated),

@@ -40,6 +40,20 @@ pub(super) fn visitor(scenario: &mut Scenario) {
     scenario.film(&room, stretch(end, end + 2.0, frames(2.0)));
 }
 
+/// Someone stands before a slow camera from the beginning, and goes.
+pub(super) fn host(scenario: &mut Scenario) {
+    const SLOWNESS: f64 = 15.0;
+    let goes = 60.0..63.0;
+    let start = goes.start;
+    let room = Arc::new(room_with_someone(move |at| {
+        (at - start).max(0.0) * SLOWNESS / FRAMES_PER_SECOND
+    }));
+    let frames = |points: f64| (SLOWNESS * points) as usize;
+    scenario.film(&room, stretch(goes.start - 4.0, goes.start, frames(4.0)));
+    scenario.disturb(&room, stretch(goes.start, goes.end, frames(3.0)));
+    scenario.film(&room, stretch(goes.end, goes.end + 2.0, frames(2.0)));
+}
+
 /// A room in which someone walks past the camera of frame 60, a metre and a quarter before it. `right_m`
 /// says how far to the right of its view, by the point of the path.
 fn room_with_someone(right_m: impl Fn(f64) -> f64 + Send + Sync + 'static) -> Stage {
