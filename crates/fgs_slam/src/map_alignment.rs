@@ -22,38 +22,48 @@ pub struct FrameToAlign {
     pub prior: PosePrior,
 }
 
-/// The pose at which an image fits the map best, given how sure tracking was of it; `None` if the map
-/// shows too little of it.
-///
-/// # Errors
-/// If the model fails.
-pub fn align_with_map(
-    model: &mut dyn GaussianModel,
-    pyramid: &IntensityPyramid,
-    prior: &PosePrior,
-) -> Result<Option<Se3>, ModelError> {
-    let world_from_camera = prior.world_from_camera;
-    // Only as fine as it is compared.
-    let camera = pyramid.levels[0].camera;
-    let rendered = model.render(&View {
-        camera,
-        world_from_camera,
-    })?;
-    let is_seen = rendered.alpha.map(|alpha| *alpha >= MIN_ALPHA);
-    let depth_m = Image::from_fn(camera.width, camera.height, |u, v| {
-        rendered.surface_depth_m(u, v)
-    });
-    let finest = IntensityImage::of_render(camera, &rendered.color, &is_seen);
-    let reference = Reference::new(
-        &IntensityPyramid::new(finest, pyramid.levels.len()),
-        &depth_m,
-        &camera,
-    );
-    let posed = PosedReference {
-        reference: &reference,
-        world_from_reference: world_from_camera,
-    };
-    let aligned = align_with_keyframes(pyramid, &[posed], prior);
-    let aligned = aligned.filter(|aligned| !aligned.contradicts_prior);
-    Ok(aligned.map(|aligned| aligned.world_from_camera))
+/// What the map looks like from a pose. Frames taken nearby can be aligned with it.
+pub struct MapReference {
+    reference: Reference,
+    world_from_camera: Se3,
+}
+
+impl MapReference {
+    /// Renders the map where an image was probably taken, as fine as the image and as its pyramid has
+    /// levels.
+    ///
+    /// # Errors
+    /// If the model fails.
+    pub fn render(
+        model: &mut dyn GaussianModel,
+        pyramid: &IntensityPyramid,
+        world_from_camera: &Se3,
+    ) -> Result<Self, ModelError> {
+        let camera = pyramid.levels[0].camera;
+        let rendered = model.render(&View {
+            camera,
+            world_from_camera: *world_from_camera,
+        })?;
+        let is_seen = rendered.alpha.map(|alpha| *alpha >= MIN_ALPHA);
+        let depth_m = Image::from_fn(camera.width, camera.height, |u, v| {
+            rendered.surface_depth_m(u, v)
+        });
+        let finest = IntensityImage::of_render(camera, &rendered.color, &is_seen);
+        let pyramid = IntensityPyramid::new(finest, pyramid.levels.len());
+        Ok(Self {
+            reference: Reference::new(&pyramid, &depth_m, &camera),
+            world_from_camera: *world_from_camera,
+        })
+    }
+
+    /// The pose at which an image fits the map best, given how sure tracking was of it; `None` if the
+    /// map shows too little of it.
+    pub fn align(&self, pyramid: &IntensityPyramid, prior: &PosePrior) -> Option<Se3> {
+        let posed = PosedReference {
+            reference: &self.reference,
+            world_from_reference: self.world_from_camera,
+        };
+        let aligned = align_with_keyframes(pyramid, &[posed], prior)?;
+        (!aligned.contradicts_prior).then_some(aligned.world_from_camera)
+    }
 }

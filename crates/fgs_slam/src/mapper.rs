@@ -10,7 +10,7 @@ use fgs_splat::{
 use crate::color_aligner::ColorAligner;
 use crate::config::{MappingConfig, SlamConfig};
 use crate::keyframes::Keyframe;
-use crate::map_alignment::{FrameToAlign, align_with_map};
+use crate::map_alignment::{FrameToAlign, MapReference};
 use crate::missing::missing_region;
 use crate::prepare::PreparedKeyframe;
 use crate::refinement::Rounds;
@@ -30,6 +30,10 @@ const PRUNE_RULE: PruneRule = PruneRule {
     max_scale_m: 1.0,
     max_aspect: 10.0,
 };
+
+/// So many frames between keyframes are aligned with one render of the map. Rendering costs thirty times as
+/// much as alignment.
+const FRAMES_PER_RENDER: usize = 4;
 
 /// Why the mapper cannot go on.
 #[derive(Debug, thiserror::Error)]
@@ -53,6 +57,8 @@ pub struct Mapper {
     choice: ViewChoice,
     /// The keyframes that can be optimised, in the order they came.
     views: Vec<(KeyframeId, FrameIndex)>,
+    /// What frames are aligned with, and how many were.
+    reference: Option<(MapReference, usize)>,
     steps: usize,
 }
 
@@ -71,6 +77,7 @@ impl Mapper {
             model,
             choice: ViewChoice::new(config.seed, config.mapping.covisible_probability),
             views: Vec::new(),
+            reference: None,
             steps: 0,
             config: config.clone(),
         }
@@ -104,7 +111,9 @@ impl Mapper {
             information,
         };
         let pyramid = ColorAligner::pyramid(&keyframe.frame);
-        let pose = align_with_map(&mut *self.model, &pyramid, &prior)?;
+        let world_from_camera = &prior.world_from_camera;
+        let reference = MapReference::render(&mut *self.model, &pyramid, world_from_camera)?;
+        let pose = reference.align(&pyramid, &prior);
         Ok(pose.map(|pose| {
             let motion = (pose * keyframe.world_from_camera.inverse()).renormalized();
             keyframe.world_from_camera = pose;
@@ -121,7 +130,19 @@ impl Mapper {
         if !self.has_views() {
             return Ok(None);
         }
-        let pose = align_with_map(&mut *self.model, &frame.pyramid, &frame.prior)?;
+        let FrameToAlign { pyramid, prior, .. } = frame;
+        let world_from_camera = &prior.world_from_camera;
+        let recent = self.reference.take();
+        let (reference, frames) = match recent.filter(|(_, frames)| *frames < FRAMES_PER_RENDER) {
+            Some(recent) => recent,
+            None => {
+                let model = &mut *self.model;
+                let reference = MapReference::render(model, pyramid, world_from_camera)?;
+                (reference, 0)
+            }
+        };
+        let pose = reference.align(pyramid, prior);
+        self.reference = Some((reference, frames + 1));
         let old_from_world = frame.prior.world_from_camera.inverse();
         Ok(pose.map(|pose| (old_from_world * pose).renormalized()))
     }
@@ -133,6 +154,7 @@ impl Mapper {
     pub fn insert(&mut self, prepared: PreparedKeyframe) -> Result<(), MapperError> {
         let keyframe = &prepared.keyframe;
         let id = keyframe.id;
+        self.reference = None;
         self.model.insert(&prepared.seeds, id)?;
         self.model.add_view(id, keyframe.view(), prepared.target)?;
         let covisibility = self.model.covisibility(id)?;
@@ -190,6 +212,7 @@ impl Mapper {
     /// # Errors
     /// If the model fails.
     pub fn move_keyframes(&mut self, moves: &[(KeyframeId, Se3)]) -> Result<(), MapperError> {
+        self.reference = None;
         Ok(self.model.move_anchored(moves)?)
     }
 
