@@ -24,6 +24,7 @@ mod prepare;
 mod refinement;
 mod registrar;
 mod relocalizer;
+mod repeats;
 mod seeding;
 mod session;
 mod sparse_map;

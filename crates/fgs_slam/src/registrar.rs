@@ -56,6 +56,8 @@ pub struct Known<'a> {
 pub struct Measured<'a> {
     pub frame: &'a Arc<RgbdFrame>,
     pub points: &'a [SurfacePoint],
+    /// When it was taken.
+    pub seconds: f64,
 }
 
 /// Where a registration starts: the depth camera's pose.
@@ -169,11 +171,14 @@ impl Registrar {
 
     /// The pose of a frame, found from a start; `None` if it cannot be registered at all.
     pub fn attempt(&self, measured: Measured, known: Known, start: &Start) -> Option<Attempt> {
-        let Measured { frame, points } = measured;
+        let Measured {
+            frame,
+            points,
+            seconds,
+        } = measured;
         if points.len() < MIN_POINTS {
             return None;
         }
-        let seconds = frame.timestamp_secs;
         let velocity = known.motion.velocity_to(&start.world_from_depth, seconds);
         let mut source = self.disks(points, frame, &velocity);
         let mut alignment = self.align(&source, known.map, &start.world_from_depth)?;
@@ -196,6 +201,18 @@ impl Registrar {
             agreement: None,
         };
         Some(self.locate(measured, known, &registered, evidence))
+    }
+
+    /// The pose of a frame without depth of its own, from a start and its colours; `None` if no keyframe
+    /// speaks for it.
+    pub fn follow(&self, measured: Measured, known: Known, start: &Start) -> Option<Located> {
+        let started = Registered {
+            world_from_depth: start.world_from_depth,
+            information: Some(start.information),
+            held: start.information,
+        };
+        let attempt = self.locate(measured, known, &started, Evidence::default());
+        attempt.evidence.agrees().then_some(attempt.located)
     }
 
     /// The pose of a registration where its points hold the camera, the start where they do not.
@@ -245,8 +262,7 @@ impl Registrar {
         registered: &Registered,
         mut evidence: Evidence,
     ) -> Attempt {
-        let seconds = measured.frame.timestamp_secs;
-        let velocity = (known.motion).velocity_to(&registered.world_from_depth, seconds);
+        let velocity = (known.motion).velocity_to(&registered.world_from_depth, measured.seconds);
         let frame = shared(measured.frame, measured.frame.with_steady_color(&velocity));
         let pyramid = self.config.color.then(|| ColorAligner::pyramid(&frame));
         let depth_from_color = frame.depth_sensor.color_from_depth(&velocity).inverse();

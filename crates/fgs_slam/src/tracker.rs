@@ -30,6 +30,7 @@ use crate::motion::MotionModel;
 use crate::moving::{Moving, MovingThings};
 use crate::registrar::{Attempt, Known, Located, Measured, Registrar, Start, shared};
 use crate::relocalizer::{Guess, Relocalizer};
+use crate::repeats::{Clock, LatestFrame, Repeat};
 use crate::sparse_map::SparseMap;
 use crate::surface::tracking_grid;
 use crate::verdict::Verdict;
@@ -46,6 +47,9 @@ pub struct Tracker {
     motion: MotionModel,
     moving: MovingThings,
     footing: Footing,
+    latest: Option<LatestFrame>,
+    clock: Clock,
+    now_secs: f64,
     newest_keyframe: Option<KeyframeId>,
     /// The last trusted frame that was not held out, unless it became a keyframe.
     unmapped: Option<(Arc<RgbdFrame>, Located)>,
@@ -87,6 +91,9 @@ impl Tracker {
             motion: MotionModel::default(),
             moving: MovingThings::default(),
             footing: Footing::Firm,
+            latest: None,
+            clock: Clock::default(),
+            now_secs: 0.0,
             newest_keyframe: None,
             unmapped: None,
             keyframes: config.keyframes.clone(),
@@ -97,6 +104,60 @@ impl Tracker {
     /// the next frame. Without a map, a frame that is not allowed is lost: it cannot start one.
     pub fn track(&mut self, frame: &Arc<RgbdFrame>, admission: Admission) -> Tracked {
         let start = Instant::now();
+        let latest = self.latest.as_ref();
+        let repeat = latest.and_then(|latest| latest.repeated_by(frame));
+        let mut tracked = match (repeat, latest) {
+            (Some(Repeat::Color), Some(latest)) => Tracked {
+                verdict: latest.verdict,
+                world_from_camera: latest.world_from_camera,
+                quality: latest.quality,
+                work: None,
+            },
+            (Some(Repeat::Depth), _) => self.track_by_color(frame),
+            _ => {
+                self.now_secs = self.clock.time(frame.timestamp_secs);
+                self.track_new(frame, admission)
+            }
+        };
+        tracked.quality.duration = start.elapsed();
+        if repeat.is_some() {
+            self.clock.repeat(frame.timestamp_secs);
+        } else if self.newest_keyframe.is_some() {
+            self.latest = Some(LatestFrame {
+                frame: Arc::clone(frame),
+                verdict: tracked.verdict,
+                world_from_camera: tracked.world_from_camera,
+                quality: tracked.quality,
+            });
+        }
+        tracked
+    }
+
+    /// Where a frame was taken whose depth image is an old one: where motion and colour say, which is too
+    /// little to build on.
+    fn track_by_color(&self, frame: &Arc<RgbdFrame>) -> Tracked {
+        let measured = Measured {
+            frame,
+            points: &[],
+            seconds: frame.timestamp_secs,
+        };
+        let predicted = match self.footing {
+            Footing::Firm => self.motion.predict(measured.seconds).map(Start::predicted),
+            Footing::Lost | Footing::Found { .. } => None,
+        };
+        let followed =
+            predicted.and_then(|start| self.registrar.follow(measured, self.known(), &start));
+        let pose = followed.map(|located| located.world_from_camera);
+        Tracked {
+            verdict: pose.map_or(Verdict::Lost, |_| Verdict::Weak),
+            world_from_camera: pose,
+            quality: TrackingQuality::default(),
+            work: None,
+        }
+    }
+
+    /// Tracks a frame that does not repeat the one before.
+    fn track_new(&mut self, frame: &Arc<RgbdFrame>, admission: Admission) -> Tracked {
         let sparse_points = self.map.points().len();
         let mut points = self.grid.surface_points(&frame.depth_m, &frame.camera);
         let mut found = self.find(frame, &points, admission);
@@ -134,7 +195,6 @@ impl Tracker {
         } else if self.newest_keyframe.is_some() {
             self.stumble();
         }
-        tracked.quality.duration = start.elapsed();
         tracked
     }
 
@@ -171,6 +231,10 @@ impl Tracker {
             if let Footing::Found { before } = &mut self.footing {
                 before.move_world(new_from_old);
             }
+            let latest = self.latest.as_mut();
+            if let Some(pose) = latest.and_then(|latest| latest.world_from_camera.as_mut()) {
+                *pose = *new_from_old * *pose;
+            }
             if let Some((_, located)) = &mut self.unmapped {
                 located.world_from_camera = *new_from_old * located.world_from_camera;
             }
@@ -204,13 +268,17 @@ impl Tracker {
         points: &[SurfacePoint],
         admission: Admission,
     ) -> Option<Attempt> {
-        let measured = Measured { frame, points };
+        let measured = Measured {
+            frame,
+            points,
+            seconds: self.now_secs,
+        };
         if self.newest_keyframe.is_none() {
             let place = || (self.registrar).place(measured, self.known(), &Se3::identity());
             return (admission == Admission::Allowed).then(place).flatten();
         }
         let attempt = |start: &Start| self.registrar.attempt(measured, self.known(), start);
-        let predicted = self.motion.predict(measured.frame.timestamp_secs)?;
+        let predicted = self.motion.predict(measured.seconds)?;
         let is_clear = |best: &Option<Attempt>| best.as_ref().is_some_and(|best| !best.is_doubtful);
         let mut best = attempt(&Start::predicted(predicted));
         if is_clear(&best) {
@@ -274,7 +342,7 @@ impl Tracker {
         let Attempt { located, frame, .. } = attempt;
         let color_from_depth = frame.depth_sensor.color_from_depth(&located.velocity);
         let world_from_depth = located.world_from_camera * color_from_depth;
-        self.motion.observe(world_from_depth, frame.timestamp_secs);
+        self.motion.observe(world_from_depth, self.now_secs);
     }
 
     /// What a trusted frame gives the mapper: a keyframe, or a frame to align.

@@ -92,6 +92,12 @@ impl Evidence {
                 .is_some_and(|support| support < CLEAR_SUPPORT)
     }
 
+    /// Whether a keyframe speaks for the pose, whatever the geometry says.
+    pub fn agrees(&self) -> bool {
+        self.support()
+            .is_some_and(|support| support >= GOOD_SUPPORT)
+    }
+
     /// Whether a camera that was lost is believed to be found there.
     pub fn is_a_find(&self) -> bool {
         self.inlier_share >= FOUND_INLIER_SHARE
