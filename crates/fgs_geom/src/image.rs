@@ -1,10 +1,11 @@
 //! A row-major image with any pixel type.
 
+use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
 /// The number of values does not match the image's size.
 #[derive(Debug, Error, PartialEq, Eq)]
-#[error("an image of {width}x{height} needs {} values, got {len}", width * height)]
+#[error("an image of {width}x{height} needs {} values, got {len}", width.saturating_mul(*height))]
 pub struct ImageSizeError {
     width: usize,
     height: usize,
@@ -12,11 +13,28 @@ pub struct ImageSizeError {
 }
 
 /// `width` x `height` pixels, row-major: pixel (u, v) is at `v * width + u`.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(try_from = "Parts<T>")]
 pub struct Image<T> {
     width: usize,
     height: usize,
     data: Vec<T>,
+}
+
+/// An image as it is read, before its size has been checked.
+#[derive(Deserialize)]
+struct Parts<T> {
+    width: usize,
+    height: usize,
+    data: Vec<T>,
+}
+
+impl<T> TryFrom<Parts<T>> for Image<T> {
+    type Error = ImageSizeError;
+
+    fn try_from(parts: Parts<T>) -> Result<Self, ImageSizeError> {
+        Self::new(parts.width, parts.height, parts.data)
+    }
 }
 
 impl<T> Image<T> {

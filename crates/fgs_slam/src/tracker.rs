@@ -17,6 +17,7 @@ use fgs_geom::{Camera, KeyframeId, RgbdFrame, Se3};
 use fgs_gicp::{DepthGrid, Point, SurfacePoint};
 use fgs_splat::SparseId;
 use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
 
 use crate::color_aligner::ColorAligner;
 use crate::config::{KeyframeConfig, SlamConfig};
@@ -27,7 +28,7 @@ use crate::map_alignment::FrameToAlign;
 use crate::motion::MotionModel;
 use crate::registrar::{Attempt, Known, Located, Measured, Registrar, Start, shared};
 use crate::relocalizer::{Guess, Relocalizer};
-use crate::sparse_map::SparseMap;
+use crate::sparse_map::{SavedSparseMap, SparseMap};
 use crate::surface::tracking_grid;
 use crate::verdict::Verdict;
 
@@ -48,13 +49,41 @@ pub struct Tracker {
 }
 
 /// What the camera's last pose is worth.
+#[derive(Clone, Default, Serialize, Deserialize)]
 enum Footing {
     /// It is trusted.
+    #[default]
     Firm,
     /// The camera is lost.
     Lost,
     /// One frame says where it is. If the next does not agree, the motion before is taken up.
     Found { before: MotionModel },
+}
+
+/// What a tracker remembers, as plain data, apart from its keyframes.
+#[derive(Default, Serialize, Deserialize)]
+pub struct SavedTracker {
+    frames_since_keyframe: Option<usize>,
+    map: SavedSparseMap,
+    motion: MotionModel,
+    footing: Footing,
+    last: Option<(Arc<RgbdFrame>, Se3)>,
+    unmapped: Option<(Arc<RgbdFrame>, Located)>,
+}
+
+impl SavedTracker {
+    /// The camera is lost, and nothing is known of where it has been.
+    pub fn lose(&mut self) {
+        self.motion = MotionModel::default();
+        self.footing = Footing::Lost;
+        (self.last, self.unmapped) = (None, None);
+    }
+
+    /// The frames that it remembers.
+    pub fn frames(&self) -> impl Iterator<Item = &RgbdFrame> {
+        let last = self.last.iter().map(|(frame, _)| &**frame);
+        last.chain(self.unmapped.iter().map(|(frame, _)| &**frame))
+    }
 }
 
 /// What the tracker says of a frame.
@@ -70,21 +99,49 @@ pub struct Tracked {
 }
 
 impl Tracker {
-    /// For frames of one camera, with an empty map. The first frame with enough depth defines the
-    /// world's axes.
-    pub fn new(camera: &Camera, config: &SlamConfig) -> Self {
+    /// For frames of one camera; its keyframes must be [added](Self::remember). With an empty map, the
+    /// first frame with enough depth defines the world's axes.
+    pub fn restored(camera: &Camera, config: &SlamConfig, saved: SavedTracker) -> Self {
+        let mut relocalizer = Relocalizer::default();
+        if let Some((frame, world_from_camera)) = &saved.last {
+            relocalizer.observe(frame, world_from_camera);
+        }
+        let search_distance_m = config.tracking.max_correspondence_distance_m;
         Self {
-            policy: KeyframePolicy::new(&config.keyframes),
+            policy: KeyframePolicy::new(&config.keyframes, saved.frames_since_keyframe),
             grid: tracking_grid(config, camera),
             registrar: Registrar::new(config),
-            map: SparseMap::new(config.tracking.max_correspondence_distance_m),
+            map: SparseMap::restored(search_distance_m, saved.map),
             color: ColorAligner::default(),
-            relocalizer: Relocalizer::default(),
-            motion: MotionModel::default(),
-            footing: Footing::Firm,
+            relocalizer,
+            motion: saved.motion,
+            footing: saved.footing,
             newest_keyframe: None,
-            unmapped: None,
+            unmapped: saved.unmapped,
             keyframes: config.keyframes.clone(),
+        }
+    }
+
+    /// Adds a keyframe of an earlier session, whose points are in the sparse map.
+    pub fn remember(&mut self, keyframe: &Keyframe) {
+        if self.registrar.uses_color() {
+            let pyramid = ColorAligner::pyramid(&keyframe.frame);
+            self.color.add(keyframe, &pyramid);
+        }
+        self.relocalizer.add(keyframe);
+        self.newest_keyframe = Some(keyframe.id);
+    }
+
+    /// Everything but the settings and the keyframes.
+    pub fn save(&self) -> SavedTracker {
+        let last = self.relocalizer.last();
+        SavedTracker {
+            frames_since_keyframe: self.policy.frames_since_keyframe(),
+            map: self.map.save(),
+            motion: self.motion.clone(),
+            footing: self.footing.clone(),
+            last: last.map(|(frame, pose)| (Arc::clone(frame), *pose)),
+            unmapped: self.unmapped.clone(),
         }
     }
 
@@ -193,9 +250,9 @@ impl Tracker {
     /// The best pose of a frame that can be found; `None` if it cannot be registered at all.
     fn find(&self, measured: Measured) -> Option<Attempt> {
         let attempt = |start: &Start| self.registrar.attempt(measured, self.known(), start);
-        let predicted = self.motion.predict(measured.frame.timestamp_secs)?;
+        let predicted = self.motion.predict(measured.frame.timestamp_secs);
         let is_clear = |best: &Option<Attempt>| best.as_ref().is_some_and(|best| !best.is_doubtful);
-        let mut best = attempt(&Start::predicted(predicted));
+        let mut best = predicted.and_then(|predicted| attempt(&Start::predicted(predicted)));
         if is_clear(&best) {
             return best;
         }
