@@ -12,14 +12,14 @@
 
 use std::collections::BTreeSet;
 use std::fs::{self, File};
-use std::io::{self, Read, Write};
+use std::io::{self, BufWriter, Read, Write};
 use std::path::{Path, PathBuf};
 
 use fgs_geom::{Camera, KeyframeId, RgbdFrame};
 use fgs_slam::SavedSession;
 use flate2::read::ZlibDecoder;
 use flate2::write::ZlibEncoder;
-use flate2::{Compression, Crc};
+use flate2::{Compression, Crc, CrcWriter};
 use serde::{Deserialize, Serialize};
 
 use crate::error::RunError;
@@ -267,7 +267,7 @@ impl MapWriter {
             keyframes: Vec::new(),
         };
         let toml = settings.to_toml()?;
-        writer.settings = writer.write(&settings_name(run), toml.as_bytes())?;
+        writer.settings = writer.write_bytes(&settings_name(run), toml.as_bytes())?;
         Ok(writer)
     }
 
@@ -283,7 +283,7 @@ impl MapWriter {
         let mut writer = Self::begin(path, settings)?;
         for (id, entry) in &known.manifest.keyframes {
             let bytes = known.read(&keyframe_name(known.manifest.run, *id), *entry)?;
-            let entry = writer.write(&keyframe_name(writer.run, *id), &bytes)?;
+            let entry = writer.write_bytes(&keyframe_name(writer.run, *id), &bytes)?;
             writer.keyframes.push((*id, entry));
         }
         Ok(writer)
@@ -312,15 +312,11 @@ impl MapWriter {
     /// # Errors
     /// If that fails.
     pub fn add_keyframe(&mut self, id: KeyframeId, frame: &RgbdFrame) -> Result<(), RunError> {
-        let name = keyframe_name(self.run, id);
-        let deflate = || -> io::Result<Vec<u8>> {
-            let bytes = postcard::to_stdvec(frame).map_err(io::Error::other)?;
-            let mut deflated = ZlibEncoder::new(Vec::new(), Compression::fast());
-            deflated.write_all(&bytes)?;
-            deflated.finish()
-        };
-        let deflated = deflate().map_err(|source| cannot_write(&self.path.join(&name), source))?;
-        let entry = self.write(&name, &deflated)?;
+        let entry = self.write(&keyframe_name(self.run, id), |file| {
+            let deflated = ZlibEncoder::new(file, Compression::fast());
+            let deflated = postcard::to_io(frame, deflated).map_err(io::Error::other)?;
+            deflated.finish().map(|_| ())
+        })?;
         self.keyframes.push((id, entry));
         Ok(())
     }
@@ -332,31 +328,56 @@ impl MapWriter {
     /// If that fails; the folder still holds the checkpoint before.
     pub fn complete(&mut self, session: &SavedSession) -> Result<(), RunError> {
         let state = state_name(self.run, self.checkpoint);
-        let bytes = postcard::to_stdvec(session).map_err(io::Error::other);
-        let bytes = bytes.map_err(|source| cannot_write(&self.path.join(&state), source))?;
+        let state = self.write(&state, |file| {
+            let written = postcard::to_io(session, file);
+            written.map(|_| ()).map_err(io::Error::other)
+        })?;
         let manifest = Manifest {
             run: self.run,
             checkpoint: self.checkpoint,
             next_frame: session.next_frame().0,
             settings: self.settings,
-            state: self.write(&state, &bytes)?,
+            state,
             keyframes: self.keyframes.clone(),
         };
         let entries = serde_json::to_string(&manifest).map_err(io::Error::from);
         let entries = entries.map_err(|source| cannot_write(&self.path.join(MANIFEST), source))?;
         let content = format!("{MAGIC}{VERSION}\n{entries}");
         let text = format!("{content}\n{:08x}\n", crc32(content.as_bytes()));
-        self.write(MANIFEST, text.as_bytes())?;
+        self.sync()?;
+        self.write_bytes(MANIFEST, text.as_bytes())?;
+        self.sync()?;
         self.checkpoint = self.checkpoint.wrapping_add(1);
         self.remove_all_but(&manifest);
         Ok(())
     }
 
-    fn write(&self, name: &str, bytes: &[u8]) -> Result<Entry, RunError> {
+    /// What is there stays there, also in a power cut.
+    fn sync(&self) -> Result<(), RunError> {
+        fgs_files::sync_folder(&self.path).map_err(|source| cannot_write(&self.path, source))
+    }
+
+    fn write_bytes(&self, name: &str, bytes: &[u8]) -> Result<Entry, RunError> {
+        self.write(name, |file| file.write_all(bytes))
+    }
+
+    fn write(
+        &self,
+        name: &str,
+        content: impl FnOnce(&mut dyn Write) -> io::Result<()>,
+    ) -> Result<Entry, RunError> {
         let path = self.path.join(name);
-        fgs_files::write_file(&path, |file| file.write_all(bytes))
-            .map_err(|source| cannot_write(&path, source))?;
-        Ok(Entry::of(bytes))
+        let mut crc32 = 0;
+        let written = fgs_files::write_file(&path, |file| {
+            // Checksums of large pieces are faster.
+            let mut file = BufWriter::new(CrcWriter::new(file));
+            content(&mut file)?;
+            crc32 = file.into_inner()?.crc().sum();
+            Ok(())
+        });
+        let bytes = written.and_then(|()| Ok(fs::metadata(&path)?.len()));
+        let bytes = bytes.map_err(|source| cannot_write(&path, source))?;
+        Ok(Entry { bytes, crc32 })
     }
 
     /// Removes files of ours that a manifest does not name. What cannot be removed is in nobody's way.

@@ -83,7 +83,7 @@ pub struct SlamOutput {
 pub struct KeyframeRecord {
     /// Its name.
     pub id: KeyframeId,
-    /// The frame.
+    /// The frame, of the recording that the keyframe came from.
     pub index: FrameIndex,
     /// What it is for.
     pub kind: KeyframeKind,

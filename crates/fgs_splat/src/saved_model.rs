@@ -65,7 +65,7 @@ impl SavedModel {
             if saved.visible.len() != count.div_ceil(32) {
                 return refuse("a view's set of gaussians has another size");
             }
-            let beyond = saved.visible.last().filter(|_| count % 32 > 0);
+            let beyond = saved.visible.last().filter(|_| !count.is_multiple_of(32));
             if beyond.is_some_and(|word| word >> (count % 32) != 0) {
                 return refuse("a view shows gaussians that do not exist");
             }

@@ -26,7 +26,8 @@ impl Folder {
     }
 
     pub fn image(&self, id: KeyframeId) -> Result<RgbdFrame, SlamError> {
-        Ok(postcard::from_bytes(&self.images.get(&id).ok_or(SlamError::Inconsistent)?).unwrap())
+        let image = self.images.get(&id).ok_or(SlamError::Inconsistent)?;
+        Ok(postcard::from_bytes(image).unwrap())
     }
 
     pub fn restored(
