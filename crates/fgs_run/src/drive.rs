@@ -31,7 +31,7 @@ use crate::settings::COMMIT;
 const REALTIME_BATCH: usize = 30;
 
 /// Tracks and maps every frame of the plan and refines the map; nothing is scored or saved but
-/// checkpoints of the map. If one of them fails, `failure` says why.
+/// checkpoints of the map. If one of them fails, [`RunResult::checkpoint_failure`] says why.
 ///
 /// # Errors
 /// If it cannot be started, or no frame can be read.
@@ -42,15 +42,15 @@ pub fn drive(
     stop: &AtomicBool,
 ) -> Result<RunResult, RunError> {
     let mut slam = session(plan, model.map)?;
-    let mut checkpoints = checkpoints(plan, &mut slam)?;
+    let checkpoints = checkpoints(plan, &mut slam)?;
     // Room for every frame: whoever looks on may be slow, but the log of a run is whole.
     let events = slam.subscribe(plan.frames.len() + 1);
-    let output = thread::scope(|scope| {
+    let (output, saved) = thread::scope(|scope| {
         let tracking = scope.spawn(|| {
-            let mut frames = plan.dataset.frames(plan.frames_left());
-            let saved = match checkpoints.take() {
+            let frames = plan.dataset.frames(plan.frames_left());
+            let saved = match checkpoints {
                 None => {
-                    feed(&mut slam, &mut frames, plan.execution, stop);
+                    feed(&mut slam, frames, plan.execution, stop);
                     Ok(())
                 }
                 Some(checkpoints) => {
@@ -63,7 +63,6 @@ pub fn drive(
         tracking.join()
     })
     .map_err(|_| RunError::TrackerPanicked)?;
-    let (output, saved) = output;
     let rows: Vec<FrameRow> = output.frames.iter().map(row_of).collect();
     let damaged = |row: &FrameRow| row.status == FrameStatus::Damaged;
     if !rows.is_empty() && rows.iter().all(damaged) {

@@ -109,8 +109,8 @@ pub struct Plan {
 }
 
 impl Plan {
-    /// Opens the recording, the device and the folder for the results, in this order: where one is
-    /// refused, nothing has been written.
+    /// Opens the map if one is known, the recording, the device and the folder for the results, in this
+    /// order: where one is refused, nothing has been written.
     ///
     /// # Errors
     /// If anything in the options, the settings or the recording is refused.
