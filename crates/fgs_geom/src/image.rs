@@ -172,6 +172,20 @@ mod tests {
     use super::*;
 
     #[test]
+    fn what_is_read_has_as_many_values_as_pixels() {
+        let image = Image::from_fn(3, 2, |u, v| (10 * v + u) as u8);
+        let bytes = postcard::to_stdvec(&image).unwrap();
+        assert_eq!(postcard::from_bytes(&bytes), Ok(image));
+        for size in [(2_usize, 2_usize), (usize::MAX, 3)] {
+            let bytes = postcard::to_stdvec(&(size, [1_u8; 6].as_slice())).unwrap();
+            assert!(
+                postcard::from_bytes::<Image<u8>>(&bytes).is_err(),
+                "{size:?}"
+            );
+        }
+    }
+
+    #[test]
     fn rows_and_columns() {
         let image = Image::from_fn(3, 2, |u, v| 10 * v + u);
         assert_eq!(image.data(), &[0, 1, 2, 10, 11, 12]);

@@ -1,4 +1,5 @@
 use std::collections::BTreeMap;
+use std::time::Duration;
 
 use fgs_slam::{Execution, Slam, SlamConfig, model_settings};
 use fgs_splat::CpuModel;
@@ -6,6 +7,7 @@ use fgs_synth::{SensorModel, Sequence, kinect_camera};
 use tempfile::TempDir;
 
 use super::*;
+use crate::checkpoints::Checkpoints;
 
 const FRAMES: usize = 14;
 
@@ -212,4 +214,28 @@ fn an_image_larger_than_the_cameras_is_refused() {
         message.ends_with("its image is larger than the camera's"),
         "{message}"
     );
+}
+
+#[test]
+fn a_map_that_cannot_be_written_ends_the_checkpoints_and_not_the_session() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("map");
+    let mut recorded = recorded();
+    let writer = MapWriter::begin(&path, &Settings::default()).unwrap();
+    let mut checkpoints = Checkpoints::begin(Duration::ZERO, writer, &mut recorded.slam);
+    for i in 0..FRAMES {
+        recorded.slam.push(recorded.sequence.frame(i)).unwrap();
+        checkpoints.after_frame(&mut recorded.slam);
+        if i == 2 {
+            assert_eq!(MapFolder::open(&path).unwrap().next_frame(), 3);
+            fs::remove_dir_all(&path).unwrap();
+        }
+    }
+    let message = checkpoints
+        .finish(&mut recorded.slam)
+        .unwrap_err()
+        .to_string();
+    assert!(message.contains("0-state-3.bin"), "{message}");
+    assert!(!path.exists() && recorded.slam.take_new_keyframes().is_empty());
+    assert_eq!(recorded.slam.finish().frames.len(), FRAMES);
 }
