@@ -21,9 +21,9 @@ fn started(sequence: &Sequence, config: &SlamConfig, execution: Execution) -> Sl
     slam
 }
 
-/// Frames of a room: three that see nothing come between, and then the camera is back a little.
-fn frames_with_a_gap(sequence: &Sequence) -> Vec<RgbdFrame> {
-    let order = (0..12).chain([0; 3]).chain(9..18);
+/// Frames of a room. Three see nothing, and then the camera is back where it began; near the end it is fast.
+fn hard_frames(sequence: &Sequence) -> Vec<RgbdFrame> {
+    let order = (0..12).chain([0; 3]).chain(1..8).chain([13, 14, 15]);
     let frames = order.enumerate().map(|(i, shown)| {
         let mut frame = sequence.frame(shown);
         frame.index = FrameIndex(i);
@@ -53,14 +53,16 @@ fn interrupted(
 ) -> SlamOutput {
     let mut folder = Folder::default();
     let mut slam = started(sequence, config, Execution::Lockstep);
-    for (i, frame) in frames.iter().enumerate() {
+    for i in 0..=frames.len() {
         if after.contains(&i) {
             folder.save(&mut slam);
             let saved = folder.saved();
             assert_eq!(saved.next_frame().0, i);
             slam = folder.restored(config, Execution::Lockstep, cpu_model(), saved);
         }
-        slam.push(frame.clone()).unwrap();
+        if let Some(frame) = frames.get(i) {
+            slam.push(frame.clone()).unwrap();
+        }
     }
     slam.finish()
 }
@@ -79,17 +81,18 @@ fn assert_same(actual: &SlamOutput, expected: &SlamOutput, what: &str) {
 #[test]
 fn a_restored_session_goes_on_to_the_last_bit() {
     let sequence = room(24);
-    let frames = frames_with_a_gap(&sequence);
+    let frames = hard_frames(&sequence);
     let mut config = config();
     config.mapping.prune_every = 7;
+    config.mapping.iterations_per_frame = 2.3;
     let whole = uninterrupted(&sequence, &config, &frames);
-    assert!(statuses(&whole).contains("LLL"), "{}", statuses(&whole));
-    assert!(whole.keyframes.len() > 3, "{}", statuses(&whole));
+    // Found by the look of a place, which the next frame confirms.
+    assert_eq!(statuses(&whole), "TTTTTTTTTTTTLLLWTTTTTTTTT");
     for (after, threads) in [
         (&[0, 1, 2][..], 1),
         (&[7], 4),
         (&[13, 15], 1),
-        (&[16, 17, 23], 4),
+        (&[16, 17, 22, 25], 4),
         (&[3, 4, 14, 20], 2),
     ] {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads);
