@@ -190,8 +190,15 @@ impl Slam {
         let mut tracker = Tracker::restored(&camera, config, saved.tracker);
         let views: BTreeSet<KeyframeId> = saved.mapping.views().collect();
         let mut targets = Vec::new();
+        let mut color_valid = None;
         for ((id, kind, _), (_, pose)) in saved.keyframes.iter().zip(saved.graph.poses()) {
-            let frame = Arc::new(image_of(*id)?);
+            let mut frame = image_of(*id)?;
+            // Frames of one recording share the mask, if the lens alone makes it.
+            if frame.color_valid == color_valid {
+                frame.color_valid = color_valid;
+            }
+            color_valid = frame.color_valid.clone();
+            let frame = Arc::new(frame);
             if frame.camera != camera || frame.check().is_err() {
                 return Err(SlamError::Inconsistent.into());
             }
