@@ -5,11 +5,12 @@
 
 mod common;
 
+use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
 use common::saved::Folder;
 use common::{config, cpu_model, poses, room, statuses, worst_position_error_m};
-use fgs_geom::{FrameIndex, RgbdFrame, Se3};
+use fgs_geom::{FrameIndex, Image, RgbdFrame, Se3};
 use fgs_slam::{Execution, FrameStatus, SavedSession, Slam, SlamConfig, SlamOutput};
 use fgs_synth::{SensorModel, Sequence};
 use rand::{RngExt, SeedableRng};
@@ -108,6 +109,31 @@ fn a_restored_session_goes_on_to_the_last_bit() {
             &format!("after {after:?}, {threads} threads"),
         );
     }
+}
+
+/// The keyframes' images then differ from those that were tracked.
+#[test]
+fn also_where_two_sensors_roll_and_the_lens_leaves_a_border() {
+    let sequence = room(16);
+    let border = Image::from_fn(160, 120, |u, v| u > 2 && v < 117);
+    let border = Arc::new(border);
+    let frames: Vec<RgbdFrame> = (sequence.frames())
+        .map(|mut frame| {
+            frame.depth_sensor.delay_secs = 0.004;
+            frame.depth_sensor.readout_secs = 0.01;
+            frame.color_readout_secs = 0.01;
+            frame.with_color_valid(Arc::clone(&border)).unwrap()
+        })
+        .collect();
+    let whole = uninterrupted(&sequence, &config(), &frames);
+    assert!(
+        statuses(&whole).starts_with("TTTTTTTTTTTT"),
+        "{}",
+        statuses(&whole)
+    );
+    assert!(whole.keyframes.len() >= 3);
+    let again = interrupted(&sequence, &config(), &frames, &[4, 12, 13]);
+    assert_same(&again, &whole, "two sensors");
 }
 
 /// On threads of their own, tracker and mapper come to a rest, and go on.
