@@ -5,7 +5,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use anyhow::bail;
 use clap::Args;
-use fgs_run::{Backend, FrameRange, Model, Plan, RunOptions, RunResult};
+use fgs_run::{Backend, FrameRange, KnownMap, Model, Plan, RunOptions, RunResult};
 use fgs_slam::{Execution, Holdout};
 use serde_json::json;
 
@@ -28,6 +28,9 @@ Examples:
   fgs run recordings/desk --refine 2000 --eval        a second, finer map: refined.ply
   fgs run recordings/desk --eval-holdout 8 --eval     scored by views the map has never seen
   fgs run recordings/desk --config runs/desk/config.effective.toml   repeats a run
+  fgs run recordings/desk --checkpoint-every 60       can go on after a power cut:
+  fgs run --resume runs/desk
+  fgs run recordings/desk-again --map runs/desk       goes on in a known place, once it is recognised
 
 The recording is a folder in the layout of TUM RGB-D (rgb.txt, depth.txt), Replica (results/),
 7-Scenes (frame-*.color.png), or has folders rgb/ and depth/ whose files correspond in the order of
@@ -50,11 +53,36 @@ frames.csv, map.ply, config.effective.toml, pictures/. Results already in --out 
 run has ended. map.ply is the map at the last frame; --refine leaves it as it is and adds refined.ply,
 with scores of its own (`refined` in metrics.json).
 
+Maps: --checkpoint-every leaves a folder map/ in the results, which holds all that a later run needs.
+--resume goes on with the same recording, in lockstep with the same results as if nothing had happened.
+--map starts another recording of the same place, of the same camera, in the map's coordinates; with
+--localize-only the map stays as it is. Settings are the map's unless --config is given.
+
 Exit code: 0 done, 1 failed, 2 usage error, 130 stopped by Ctrl-C (the results so far are saved; a
 second Ctrl-C skips that). If a graphics device fails, the results so far are saved too.")]
 pub struct RunArgs {
     /// Folder of the recording
-    dataset: PathBuf,
+    #[arg(required_unless_present = "resume")]
+    dataset: Option<PathBuf>,
+    /// Write the map, in a form that can be gone on with, every so many seconds and at the end
+    #[arg(long, value_name = "SECS", conflicts_with = "localize_only")]
+    checkpoint_every: Option<u64>,
+    /// Go on with a run that has checkpoints, given by its folder
+    #[arg(
+        long,
+        value_name = "DIR",
+        conflicts_with_all = [
+            "config", "camera", "assignments", "out", "mode", "backend", "frames", "refine",
+            "eval_holdout", "map",
+        ]
+    )]
+    resume: Option<PathBuf>,
+    /// Start in the map of a run that had checkpoints: the camera finds itself and extends the map
+    #[arg(long, value_name = "DIR")]
+    map: Option<PathBuf>,
+    /// Only find the camera in the map
+    #[arg(long, requires = "map", conflicts_with = "refine")]
+    localize_only: bool,
     /// Settings file (TOML); may be partial
     #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
@@ -99,8 +127,16 @@ pub struct RunArgs {
 /// # Errors
 /// If the run cannot be started, fails, or cannot be saved.
 pub fn run(args: &RunArgs) -> anyhow::Result<u8> {
+    let known_map = match (&args.resume, &args.map) {
+        (Some(folder), _) => Some(KnownMap::Resume(folder.clone())),
+        (None, Some(folder)) if args.localize_only => Some(KnownMap::LocalizeOnly(folder.clone())),
+        (None, Some(folder)) => Some(KnownMap::Extend(folder.clone())),
+        (None, None) => None,
+    };
     let options = RunOptions {
-        dataset: args.dataset.clone(),
+        dataset: args.dataset.clone().unwrap_or_default(),
+        known_map,
+        checkpoint_every_secs: args.checkpoint_every,
         config: args.config.clone(),
         assignments: args.assignments.clone(),
         camera: args.camera.clone(),
@@ -136,7 +172,7 @@ pub fn execute(
     stop: &AtomicBool,
 ) -> anyhow::Result<u8> {
     announce(plan, &model, console);
-    let mut progress = Progress::new(plan.frames.len(), console);
+    let mut progress = Progress::new(plan.frames_left().len(), console);
     let result = plan.run(model, &mut progress, stop);
     drop(progress);
     let result = result.map_err(explain)?;
@@ -157,7 +193,7 @@ fn announce(plan: &Plan, model: &Model, console: Console) {
         json!({
             "dataset": plan.dataset_path,
             "format": format,
-            "frames": plan.frames,
+            "frames": plan.frames_left(),
             "width": camera.width,
             "height": camera.height,
             "backend": model.name,
@@ -166,7 +202,7 @@ fn announce(plan: &Plan, model: &Model, console: Console) {
     );
     console.say(format!(
         "{dataset}: {format}, frames {}..{} of {}, {}x{}",
-        plan.frames.start,
+        plan.frames_left().start,
         plan.frames.end,
         plan.dataset.len(),
         camera.width,

@@ -4,6 +4,7 @@
 
 use fgs_geom::{Image, Se3, has_depth};
 use nalgebra::Vector3;
+use serde::{Deserialize, Serialize};
 
 use crate::{IntensityImage, ReferencePoint};
 
@@ -15,7 +16,7 @@ const MAX_DEPTH_DIFFERENCE: f64 = 0.05;
 const MIN_CONTRAST: f64 = 0.02 * 0.02;
 
 /// How well an image agrees with a keyframe.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Agreement {
     /// The keyframe's points that the image shows: in view, and not hidden by something nearer.
     pub points: usize,

@@ -2,6 +2,7 @@
 
 use fgs_geom::{Camera, Image, has_depth};
 use nalgebra::Vector3;
+use serde::{Deserialize, Serialize};
 
 use crate::{IntensityImage, IntensityPyramid};
 
@@ -17,7 +18,7 @@ const MIN_GRADIENT: f32 = 0.01;
 const MAX_DEPTH_STEP: f32 = 0.05;
 
 /// A point with its brightness in the keyframe.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
 pub struct ReferencePoint {
     /// Position in the reference camera frame, metres.
     pub position: Vector3<f64>,
@@ -26,7 +27,7 @@ pub struct ReferencePoint {
 }
 
 /// The reference for photometric alignment: points of a keyframe for each pyramid level.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Reference {
     /// The points of each level, finest first.
     pub levels: Vec<Vec<ReferencePoint>>,

@@ -35,6 +35,18 @@ pub fn write_file(
     Ok(unfinished.persist(path)?)
 }
 
+/// Waits until a folder's names are on the disk: what was renamed before survives a power cut whenever
+/// what is renamed after does. Where folders cannot be waited for, as on Windows, it does nothing.
+///
+/// # Errors
+/// The operating system's refusal.
+pub fn sync_folder(path: &Path) -> io::Result<()> {
+    if cfg!(unix) {
+        File::open(path)?.sync_all()?;
+    }
+    Ok(())
+}
+
 /// A new folder that is being filled.
 #[derive(Debug)]
 pub struct NewFolder {

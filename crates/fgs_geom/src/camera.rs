@@ -1,12 +1,13 @@
 //! The pinhole camera: u = fx x/z + cx, with pixel centres at integer coordinates.
 
 use nalgebra::{Vector2, Vector3};
+use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
 use crate::Se3;
 
 /// Focal lengths and principal point, pixels.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Intrinsics {
     /// Horizontal focal length.
     pub fx: f64,
@@ -31,7 +32,7 @@ pub struct CameraError {
 }
 
 /// A pinhole camera without lens distortion.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Camera {
     /// Image width, pixels.
     pub width: usize,
@@ -114,7 +115,7 @@ impl Camera {
 }
 
 /// A camera and its pose.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct View {
     /// The camera.
     pub camera: Camera,

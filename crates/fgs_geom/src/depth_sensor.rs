@@ -6,11 +6,12 @@
 //! was taken; [`DepthSensor`] says where the depth camera was when its image was taken.
 
 use nalgebra::{Matrix3, Vector3, Vector6};
+use serde::{Deserialize, Serialize};
 
 use crate::{Camera, Image, Se3, has_depth, row_delay_secs};
 
 /// The depth sensor's place and time relative to the colour camera's.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct DepthSensor {
     /// How much later than the colour image the depth image was taken, seconds; negative if it was
     /// taken earlier.

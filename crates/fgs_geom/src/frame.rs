@@ -21,8 +21,9 @@ pub struct KeyframeId(pub u32);
 /// A colour image and the depth image registered to it, both with the size of `camera` and free of
 /// lens distortion.
 ///
-/// The fields can be read, and changed in place, but a frame is made by [`RgbdFrame::new`] only.
-#[derive(Clone, Debug)]
+/// The fields can be read, and changed in place, but a frame is made by [`RgbdFrame::new`] only. One that
+/// was saved is to be [checked](RgbdFrame::check) when it is read back.
+#[derive(Clone, Debug, Serialize, Deserialize)]
 #[non_exhaustive]
 pub struct RgbdFrame {
     /// The frame's position in its recording.

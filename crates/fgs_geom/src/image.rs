@@ -1,10 +1,11 @@
 //! A row-major image with any pixel type.
 
+use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
 /// The number of values does not match the image's size.
 #[derive(Debug, Error, PartialEq, Eq)]
-#[error("an image of {width}x{height} needs {} values, got {len}", width * height)]
+#[error("an image of {width}x{height} needs {} values, got {len}", width.saturating_mul(*height))]
 pub struct ImageSizeError {
     width: usize,
     height: usize,
@@ -12,11 +13,28 @@ pub struct ImageSizeError {
 }
 
 /// `width` x `height` pixels, row-major: pixel (u, v) is at `v * width + u`.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(try_from = "Parts<T>")]
 pub struct Image<T> {
     width: usize,
     height: usize,
     data: Vec<T>,
+}
+
+/// An image as it is read, before its size has been checked.
+#[derive(Deserialize)]
+struct Parts<T> {
+    width: usize,
+    height: usize,
+    data: Vec<T>,
+}
+
+impl<T> TryFrom<Parts<T>> for Image<T> {
+    type Error = ImageSizeError;
+
+    fn try_from(parts: Parts<T>) -> Result<Self, ImageSizeError> {
+        Self::new(parts.width, parts.height, parts.data)
+    }
 }
 
 impl<T> Image<T> {
@@ -152,6 +170,20 @@ impl<T: Copy> Image<T> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn what_is_read_has_as_many_values_as_pixels() {
+        let image = Image::from_fn(3, 2, |u, v| (10 * v + u) as u8);
+        let bytes = postcard::to_stdvec(&image).unwrap();
+        assert_eq!(postcard::from_bytes(&bytes), Ok(image));
+        for size in [(2_usize, 2_usize), (usize::MAX, 3)] {
+            let bytes = postcard::to_stdvec(&(size, [1_u8; 6].as_slice())).unwrap();
+            assert!(
+                postcard::from_bytes::<Image<u8>>(&bytes).is_err(),
+                "{size:?}"
+            );
+        }
+    }
 
     #[test]
     fn rows_and_columns() {

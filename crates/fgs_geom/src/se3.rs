@@ -6,13 +6,14 @@
 use std::ops::Mul;
 
 use nalgebra::{Matrix3, Matrix4, Matrix6, Quaternion, UnitQuaternion, Vector3, Vector6};
+use serde::{Deserialize, Serialize};
 
 /// Below this angle (rad) the closed forms lose digits to cancellation and their Taylor series,
 /// cut after the second term, is exact to rounding.
 const SMALL_ANGLE: f64 = 1e-3;
 
 /// A rigid transform `a_from_b`: `p_a = rotation * p_b + translation`, translation in metres.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Se3 {
     /// Rotation part.
     pub rotation: UnitQuaternion<f64>,

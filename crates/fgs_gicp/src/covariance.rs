@@ -6,13 +6,14 @@
 //! sums of covariances invertible.
 
 use nalgebra::{Matrix3, SymmetricEigen, Vector3};
+use serde::{Deserialize, Serialize};
 
 /// Floor of the smallest eigenvalue after the middle one has been scaled to 1: the variance along
 /// the normal relative to that in the tangent plane. Same value as in GICP and the paper.
 pub const MIN_EIGENVALUE: f64 = 1e-3;
 
 /// A symmetric positive definite 3x3 matrix.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Covariance {
     /// `[xx, xy, xz, yy, yz, zz]`.
     upper: [f32; 6],

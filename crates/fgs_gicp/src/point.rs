@@ -2,11 +2,12 @@
 
 use fgs_geom::Se3;
 use nalgebra::Vector3;
+use serde::{Deserialize, Serialize};
 
 use crate::Covariance;
 
 /// A source or target point of a registration.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Point {
     /// Metres. `f32` rounds to 1 um at 10 m, well below the resolution of any depth sensor.
     pub position: Vector3<f32>,

@@ -2,12 +2,13 @@
 
 use fgs_geom::{KeyframeId, Se3};
 use nalgebra::{Matrix6, Vector6};
+use serde::{Deserialize, Serialize};
 
 use crate::kernel::RobustKernel;
 use crate::tangent::inverse_right_jacobian;
 
 /// How one keyframe was found to lie to another.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Edge {
     /// The keyframe that it was measured from.
     pub from: KeyframeId,

@@ -3,14 +3,38 @@
 use std::collections::BTreeMap;
 
 use fgs_geom::{KeyframeId, Se3};
+use serde::{Deserialize, Serialize};
 
 use crate::edge::Edge;
 
 /// Keyframes with their poses, and edges between them.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
+#[serde(try_from = "Parts")]
 pub struct KeyframeGraph {
     pub(crate) poses: BTreeMap<KeyframeId, Se3>,
     pub(crate) edges: Vec<Edge>,
+}
+
+/// A graph as it is read, before its edges have been checked.
+#[derive(Deserialize)]
+struct Parts {
+    poses: BTreeMap<KeyframeId, Se3>,
+    edges: Vec<Edge>,
+}
+
+impl TryFrom<Parts> for KeyframeGraph {
+    type Error = GraphError;
+
+    fn try_from(parts: Parts) -> Result<Self, GraphError> {
+        let mut graph = Self {
+            poses: parts.poses,
+            edges: Vec::new(),
+        };
+        for edge in parts.edges {
+            graph.add_edge(edge)?;
+        }
+        Ok(graph)
+    }
 }
 
 /// Why a graph refuses a call.

@@ -1,7 +1,9 @@
 //! How much an edge counts that does not fit.
 
+use serde::{Deserialize, Serialize};
+
 /// What an edge's squared error costs, by its `chi2 = r^T I r`.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub enum RobustKernel {
     /// `chi2`: for edges that are certain to be right, such as those between successive keyframes.
     #[default]

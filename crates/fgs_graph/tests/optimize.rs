@@ -249,3 +249,35 @@ fn what_is_no_measurement_is_refused() {
         Err(GraphError::NotFinite)
     );
 }
+
+/// A graph that was saved is read whole, or not at all.
+#[test]
+fn edges_that_are_read_are_checked_like_any_others() {
+    let mut graph = KeyframeGraph::new();
+    for (id, x) in [(4, 0.0), (7, 1.0)] {
+        let pose = Se3::exp(&Vector6::new(0.1, 0.2, 0.0, x, 0.0, 0.3));
+        graph.add_keyframe(KeyframeId(id), pose);
+    }
+    let tie = |from, to| {
+        edge(
+            KeyframeId(from),
+            KeyframeId(to),
+            Se3::identity(),
+            Matrix6::identity(),
+        )
+    };
+    graph.add_edge(tie(4, 7)).unwrap();
+    let read = |edges: &[Edge]| {
+        let poses: Vec<_> = graph.poses().map(|(id, pose)| (id, *pose)).collect();
+        let bytes = postcard::to_stdvec(&(poses, edges)).unwrap();
+        postcard::from_bytes::<KeyframeGraph>(&bytes)
+    };
+    let again = read(graph.edges()).unwrap();
+    assert!(again.poses().eq(graph.poses()) && again.edges() == graph.edges());
+    for bad in [tie(4, 5), tie(7, 7)] {
+        assert!(read(&[tie(4, 7), bad]).is_err());
+    }
+    let mut unsure = tie(7, 4);
+    unsure.information[(0, 0)] = -1.0;
+    assert!(read(&[unsure]).is_err());
+}

@@ -3,25 +3,35 @@
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread;
+use std::time::Duration;
 
-use fgs_data::Trajectory;
-use fgs_geom::FrameIndex;
+use fgs_data::{DataError, Trajectory};
+use fgs_geom::{FrameIndex, RgbdFrame};
 use fgs_slam::{
-    Execution, FrameResult, FrameStatus, Slam, SlamEvent, SlamOutput, Subscription, replay,
+    Execution, FrameResult, FrameStatus, SavedSession, Slam, SlamConfig, SlamEvent, SlamOutput,
+    Subscription, replay,
 };
+use fgs_splat::GaussianModel;
 
 use crate::backend::Model;
+use crate::checkpoints::Checkpoints;
 use crate::error::RunError;
 use crate::frame_log::FrameRow;
+use crate::map_folder::{MAP_FOLDER, MapFolder, MapWriter};
 use crate::metrics::{Metrics, RefinedMetrics};
 use crate::observer::{RunEvent, RunObserver};
 use crate::peak_memory::peak_rss_bytes;
-use crate::plan::Plan;
+use crate::plan::{KnownMap, Plan};
 use crate::run_result::RunResult;
 use crate::score_values::{Scores, mean};
 use crate::settings::COMMIT;
 
-/// Tracks and maps every frame of the plan and refines the map; nothing is scored or saved.
+/// In real time, so many frames go between two looks whether a checkpoint is due: the recording's clock
+/// stands still meanwhile.
+const REALTIME_BATCH: usize = 30;
+
+/// Tracks and maps every frame of the plan and refines the map; nothing is scored or saved but
+/// checkpoints of the map. If one of them fails, [`RunResult::checkpoint_failure`] says why.
 ///
 /// # Errors
 /// If it cannot be started, or no frame can be read.
@@ -31,24 +41,23 @@ pub fn drive(
     observer: &mut dyn RunObserver,
     stop: &AtomicBool,
 ) -> Result<RunResult, RunError> {
-    let (camera, config) = (plan.dataset.camera(), plan.settings.slam());
-    let mut slam = Slam::new(camera, &config, plan.execution, model.map)?;
-    slam.start_at(FrameIndex(plan.frames.start));
-    if let Some(holdout) = plan.eval_holdout {
-        slam.hold_out(holdout);
-    }
+    let mut slam = session(plan, model.map)?;
+    let checkpoints = checkpoints(plan, &mut slam)?;
     // Room for every frame: whoever looks on may be slow, but the log of a run is whole.
     let events = slam.subscribe(plan.frames.len() + 1);
-    let output = thread::scope(|scope| {
+    let (output, saved) = thread::scope(|scope| {
         let tracking = scope.spawn(|| {
-            let frames = plan.dataset.frames(plan.frames.clone());
-            match plan.execution {
-                Execution::Realtime => replay(&mut slam, frames, stop),
-                Execution::Lockstep | Execution::Parallel => {
-                    fgs_slam::drive(&mut slam, frames, stop);
+            let frames = plan.dataset.frames(plan.frames_left());
+            let saved = match checkpoints {
+                None => {
+                    feed(&mut slam, frames, plan.execution, stop);
+                    Ok(())
                 }
-            }
-            slam.finish_refined(plan.refine, stop)
+                Some(checkpoints) => {
+                    feed_with(checkpoints, &mut slam, frames, plan.execution, stop)
+                }
+            };
+            (slam.finish_refined(plan.refine, stop), saved)
         });
         pass_on(&events, observer);
         tracking.join()
@@ -69,7 +78,125 @@ pub fn drive(
         trajectory,
         gaussians: output.gaussians,
         refined: output.refined.map(|refined| refined.gaussians),
+        checkpoint_failure: saved.err(),
     })
+}
+
+/// The session that the plan starts with: a new one, or one that goes on.
+fn session(plan: &Plan, model: Box<dyn GaussianModel>) -> Result<Slam, RunError> {
+    let (camera, config) = (plan.dataset.camera(), plan.settings.slam());
+    let mut slam = match &plan.known_map {
+        None => Slam::new(camera, &config, plan.execution, model)?,
+        Some((known, folder)) => {
+            let saved = folder.session()?;
+            if saved.camera() != camera {
+                return Err(other_recording(folder, "its camera is another"));
+            }
+            match known {
+                KnownMap::Resume(_) => {
+                    check_recording(plan, folder, &saved)?;
+                    return restored(plan, &config, folder, model, saved);
+                }
+                KnownMap::Extend(_) => restored(plan, &config, folder, model, saved.into_map())?,
+                KnownMap::LocalizeOnly(_) => {
+                    let saved = saved.into_map().localizing_only();
+                    restored(plan, &config, folder, model, saved)?
+                }
+            }
+        }
+    };
+    slam.start_at(FrameIndex(plan.frames.start));
+    if let Some(holdout) = plan.eval_holdout {
+        slam.hold_out(holdout);
+    }
+    Ok(slam)
+}
+
+fn restored(
+    plan: &Plan,
+    config: &SlamConfig,
+    folder: &MapFolder,
+    model: Box<dyn GaussianModel>,
+    saved: SavedSession,
+) -> Result<Slam, RunError> {
+    let camera = plan.dataset.camera();
+    let image_of = |id| folder.keyframe(id, camera);
+    Slam::restore(config, plan.execution, model, saved, image_of)
+}
+
+/// Whether a recording can be the one that a session has seen the beginning of.
+fn check_recording(plan: &Plan, folder: &MapFolder, saved: &SavedSession) -> Result<(), RunError> {
+    let next = saved.next_frame().0;
+    if next < plan.frames.start || next > plan.frames.end {
+        let what = format!(
+            "frame {next} would come next, and it has {}",
+            plan.dataset.len()
+        );
+        return Err(other_recording(folder, &what));
+    }
+    let last = saved.last_frame();
+    if let Some((last, secs)) = last.and_then(|last| Some((last.index.0, last.timestamp_secs?)))
+        && plan.dataset.timestamps().nth(last) != Some(secs)
+    {
+        let what = format!("frame {last} was taken at another time than {secs} s");
+        return Err(other_recording(folder, &what));
+    }
+    Ok(())
+}
+
+fn other_recording(folder: &MapFolder, what: &str) -> RunError {
+    RunError::OtherRecording {
+        path: folder.path().into(),
+        what: what.into(),
+    }
+}
+
+/// The checkpoints of the map, if the plan has any.
+fn checkpoints(plan: &Plan, slam: &mut Slam) -> Result<Option<Checkpoints>, RunError> {
+    let Some(every) = plan.checkpoint_every_secs.map(Duration::from_secs) else {
+        return Ok(None);
+    };
+    let path = plan.folder.join(MAP_FOLDER);
+    let writer = match &plan.known_map {
+        None => MapWriter::begin(&path, &plan.settings)?,
+        Some((KnownMap::Resume(_), folder)) => MapWriter::resume(folder),
+        Some((_, folder)) => MapWriter::begin_with(&path, &plan.settings, folder)?,
+    };
+    Ok(Some(Checkpoints::begin(every, writer, slam)))
+}
+
+type Frame = Result<RgbdFrame, DataError>;
+
+fn feed(
+    slam: &mut Slam,
+    frames: impl Iterator<Item = Frame>,
+    execution: Execution,
+    stop: &AtomicBool,
+) {
+    match execution {
+        Execution::Realtime => replay(slam, frames, stop),
+        Execution::Lockstep | Execution::Parallel => fgs_slam::drive(slam, frames, stop),
+    }
+}
+
+/// As [`feed`], with checkpoints between frames and at their end.
+fn feed_with(
+    mut checkpoints: Checkpoints,
+    slam: &mut Slam,
+    frames: impl Iterator<Item = Frame>,
+    execution: Execution,
+    stop: &AtomicBool,
+) -> Result<(), RunError> {
+    let batch = match execution {
+        Execution::Realtime => REALTIME_BATCH,
+        Execution::Lockstep | Execution::Parallel => 1,
+    };
+    let mut frames = frames.peekable();
+    while !stop.load(Ordering::Relaxed) && !slam.has_stopped() && frames.peek().is_some() {
+        feed(slam, frames.by_ref().take(batch), execution, stop);
+        checkpoints.after_frame(slam);
+    }
+    checkpoints.finish(slam)
 }
 
 /// Tells the observer what happens until the session ends.

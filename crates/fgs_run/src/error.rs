@@ -95,6 +95,38 @@ pub enum RunError {
         /// What the operating system says.
         source: io::Error,
     },
+    /// A folder holds no map to go on with.
+    #[error("{} holds no map: a run with checkpoints leaves one", path.display())]
+    NoMap {
+        /// The folder.
+        path: PathBuf,
+    },
+    /// A map was written by a newer program.
+    #[error("the map in {} is of version {version}; this program reads version {known}", path.display())]
+    MapVersion {
+        /// The folder.
+        path: PathBuf,
+        /// The map's version.
+        version: u32,
+        /// The newest version that can be read.
+        known: u32,
+    },
+    /// A file of a map is not what was written.
+    #[error("{} is damaged: {what}", path.display())]
+    MapDamaged {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong.
+        what: String,
+    },
+    /// A recording does not belong to a map.
+    #[error("the map in {} cannot go on with this recording: {what}", path.display())]
+    OtherRecording {
+        /// The map's folder.
+        path: PathBuf,
+        /// How the recording differs.
+        what: String,
+    },
     /// A file cannot be read or is damaged.
     #[error("cannot read {}: {source}", path.display())]
     Read {
@@ -124,7 +156,9 @@ impl RunError {
             | Self::Camera(_)
             | Self::NoDevice(_)
             | Self::UnknownRecording { .. }
-            | Self::NotARun { .. } => true,
+            | Self::NotARun { .. }
+            | Self::NoMap { .. }
+            | Self::OtherRecording { .. } => true,
             Self::Data(error) => matches!(
                 error,
                 DataError::CameraFile { .. }

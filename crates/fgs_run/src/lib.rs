@@ -27,15 +27,20 @@
 //! }
 //! ```
 //!
+//! With [`RunOptions::checkpoint_every_secs`] the run also leaves its map in a form that outlives it
+//! ([`MapFolder`]): another run goes on with it, or finds its camera in it.
+//!
 //! What a run is scored by stands in one place, [`SCORES`].
 
 mod assignment;
 mod backend;
+mod checkpoints;
 mod drive;
 mod error;
 mod evaluation;
 mod frame_log;
 mod frame_range;
+mod map_folder;
 mod metrics;
 mod observer;
 mod peak_memory;
@@ -54,10 +59,11 @@ pub use error::RunError;
 pub use evaluation::score_images;
 pub use frame_log::FrameRow;
 pub use frame_range::FrameRange;
+pub use map_folder::{MAP_FOLDER, MapFolder};
 pub use metrics::{Metrics, RefinedMetrics};
 pub use observer::{RunEvent, RunObserver};
 pub use pictures::{png_bytes, write_png};
-pub use plan::{Plan, RunOptions};
+pub use plan::{KnownMap, Plan, RunOptions};
 pub use recording::{open_recording, recording_name};
 pub use rescore::FinishedRun;
 pub use run_folder::{CONFIG, FRAMES, MAP, METRICS, PICTURES, REFINED_MAP, RunFolder, TRAJECTORY};

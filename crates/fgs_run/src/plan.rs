@@ -13,6 +13,7 @@ use crate::backend::{Backend, Model};
 use crate::drive::drive;
 use crate::error::RunError;
 use crate::frame_range::FrameRange;
+use crate::map_folder::MapFolder;
 use crate::observer::RunObserver;
 use crate::pictures;
 use crate::recording::{check_size, open_recording, recording_name};
@@ -27,8 +28,13 @@ const RUNS: &str = "runs";
 /// default given here.
 #[derive(Clone, Debug, Default)]
 pub struct RunOptions {
-    /// Folder of the recording.
+    /// Folder of the recording. If empty, a run that is resumed takes its own.
     pub dataset: PathBuf,
+    /// The map that the run starts with; none.
+    pub known_map: Option<KnownMap>,
+    /// Seconds between checkpoints of the map (0: after every frame), which are written to [`MAP_FOLDER`](crate::MAP_FOLDER) in
+    /// the folder for the results; none are written.
+    pub checkpoint_every_secs: Option<u64>,
     /// Settings file; see [`Settings`].
     pub config: Option<PathBuf>,
     /// Single settings `key=value`, which override the file's.
@@ -56,6 +62,26 @@ pub struct RunOptions {
     pub command: Option<String>,
 }
 
+/// A map that is known before a run, in its folder or in that of its run.
+#[derive(Clone, Debug)]
+pub enum KnownMap {
+    /// The run that made it goes on where its last checkpoint is, with its settings and in its folder.
+    Resume(PathBuf),
+    /// The camera is lost in it, and extends it once it is found. Settings are the map's where none are
+    /// given.
+    Extend(PathBuf),
+    /// The camera is lost in it, and is only to be followed: the map stays as it is.
+    LocalizeOnly(PathBuf),
+}
+
+impl KnownMap {
+    fn path(&self) -> &Path {
+        match self {
+            Self::Resume(path) | Self::Extend(path) | Self::LocalizeOnly(path) => path,
+        }
+    }
+}
+
 /// Everything that a run needs, checked and opened.
 pub struct Plan {
     /// The recording as given.
@@ -76,17 +102,43 @@ pub struct Plan {
     pub folder: RunFolder,
     /// Whether to render and score every tracked frame at the end.
     pub evaluate: bool,
+    /// Seconds between checkpoints of the map.
+    pub checkpoint_every_secs: Option<u64>,
+    /// The map that the run starts with, and what it is for.
+    pub known_map: Option<(KnownMap, MapFolder)>,
 }
 
 impl Plan {
-    /// Opens the recording, the device and the folder for the results, in this order: where one is
-    /// refused, nothing has been written.
+    /// Opens the map if one is known, the recording, the device and the folder for the results, in this
+    /// order: where one is refused, nothing has been written.
     ///
     /// # Errors
     /// If anything in the options, the settings or the recording is refused.
     pub fn resolve(options: &RunOptions) -> Result<(Self, Model), RunError> {
-        let mut settings = Settings::load(options.config.as_deref(), &options.assignments)?;
-        let dataset = open_recording(&options.dataset, options.camera.as_deref(), &mut settings)?;
+        let known_map = match &options.known_map {
+            Some(known) => Some((known.clone(), MapFolder::open(known.path())?)),
+            None => None,
+        };
+        let resumed = match &known_map {
+            Some((KnownMap::Resume(_), folder)) => Some(folder),
+            _ => None,
+        };
+        let mut settings = match &known_map {
+            Some((_, folder)) if options.config.is_none() => {
+                let settings = folder.settings()?;
+                let settings = match resumed {
+                    Some(_) => settings,
+                    None => settings.of_another_run(),
+                };
+                settings.assigned(&options.assignments)?
+            }
+            _ => Settings::load(options.config.as_deref(), &options.assignments)?,
+        };
+        let dataset_path = match (&settings.run.dataset, resumed) {
+            (Some(own), Some(_)) if options.dataset == Path::new("") => own.clone(),
+            _ => options.dataset.clone(),
+        };
+        let dataset = open_recording(&dataset_path, options.camera.as_deref(), &mut settings)?;
         let recorded = &settings.run;
         let frames = options.frames.or(recorded.frames).unwrap_or_default();
         let frames = frames.resolve(dataset.len())?;
@@ -97,23 +149,27 @@ impl Plan {
         let model = backend.model(&settings.mapping, options.pipeline_cache.as_deref())?;
         let refine = options.refine.or(recorded.refine).unwrap_or(0);
         let eval_holdout = options.eval_holdout.or(recorded.eval_holdout);
+        let checkpoint_every_secs =
+            (options.checkpoint_every_secs).or(recorded.checkpoint_every_secs);
         settings.run = RunSettings {
             command: options.command.clone(),
-            dataset: Some(options.dataset.clone()),
+            dataset: Some(dataset_path.clone()),
             mode: Some(execution),
             backend: Some(model.backend),
             frames: Some(frames.clone().into()),
             refine: (refine > 0).then_some(refine),
             eval_holdout,
+            checkpoint_every_secs,
             camera_overrides: settings.run.camera_overrides,
             commit: Some(COMMIT.into()),
         };
-        let folder = match &options.out {
-            Some(path) => RunFolder::create(path)?,
-            None => RunFolder::create_new(Path::new(RUNS), &recording_name(&options.dataset))?,
+        let folder = match (resumed, &options.out) {
+            (Some(map), _) => RunFolder::create(&map.run_folder())?,
+            (None, Some(path)) => RunFolder::create(path)?,
+            (None, None) => RunFolder::create_new(Path::new(RUNS), &recording_name(&dataset_path))?,
         };
         let plan = Self {
-            dataset_path: options.dataset.clone(),
+            dataset_path,
             dataset,
             frames,
             settings,
@@ -122,8 +178,18 @@ impl Plan {
             eval_holdout,
             folder,
             evaluate: options.evaluate,
+            checkpoint_every_secs,
+            known_map,
         };
         Ok((plan, model))
+    }
+
+    /// The frames that are to be tracked now.
+    pub fn frames_left(&self) -> Range<usize> {
+        match &self.known_map {
+            Some((KnownMap::Resume(_), folder)) => folder.next_frame()..self.frames.end,
+            _ => self.frames.clone(),
+        }
     }
 
     /// Tracks and maps, saves, and scores if asked to. When `stop` is set or the mapper fails
@@ -151,7 +217,7 @@ impl Plan {
         stop: &AtomicBool,
     ) -> Result<RunResult, RunError> {
         let folder = &self.folder;
-        let mut errors = FirstError::default();
+        let mut errors = FirstError(result.checkpoint_failure.take());
         folder.clear_results();
         errors.note(self.save_settings());
         errors.note(save_trajectory(&result, folder));
@@ -181,7 +247,6 @@ fn save_trajectory(result: &RunResult, folder: &RunFolder) -> Result<(), DataErr
 }
 
 /// The first of the errors of steps that do not depend on each other.
-#[derive(Default)]
 struct FirstError(Option<RunError>);
 
 impl FirstError {

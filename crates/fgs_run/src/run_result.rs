@@ -22,6 +22,8 @@ pub struct RunResult {
     pub refined: Option<Gaussians>,
     /// The numbers.
     pub metrics: Metrics,
+    /// Why the map's checkpoints ended early.
+    pub checkpoint_failure: Option<RunError>,
 }
 
 impl RunResult {
@@ -41,6 +43,7 @@ impl RunResult {
                 None => None,
             },
             metrics,
+            checkpoint_failure: None,
         })
     }
 

@@ -49,7 +49,8 @@ pub struct Settings {
     pub run: RunSettings,
 }
 
-/// The `[run]` table. `mode`, `backend`, `frames`, `refine`, `eval_holdout` and `camera_overrides` apply
+/// The `[run]` table. `mode`, `backend`, `frames`, `refine`, `eval_holdout`,
+/// `checkpoint_every_secs` and `camera_overrides` apply
 /// unless [`RunOptions`](crate::RunOptions) say otherwise; the rest is for people and for scoring the run
 /// again.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -76,6 +77,9 @@ pub struct RunSettings {
     /// Of every so many frames, the last is kept out of the map.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub eval_holdout: Option<Holdout>,
+    /// Seconds between checkpoints of the map (0: after every frame); none are written without.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub checkpoint_every_secs: Option<u64>,
     /// Whether `[camera]` applies even where the recording has its own, as a camera file given for
     /// the run does.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -121,7 +125,15 @@ impl Settings {
             Some(path) => Self::read(path)?,
             None => Self::default(),
         };
-        assignments.iter().try_fold(settings, |settings, text| {
+        settings.assigned(assignments)
+    }
+
+    /// The same, changed by assignments as [`load`](Self::load) takes them.
+    ///
+    /// # Errors
+    /// [`RunError::Assignment`], for what is refused.
+    pub fn assigned(self, assignments: &[String]) -> Result<Self, RunError> {
+        assignments.iter().try_fold(self, |settings, text| {
             assign(&settings, text).map_err(|message| RunError::Assignment {
                 assignment: text.clone(),
                 message,
@@ -162,6 +174,17 @@ impl Settings {
             loops: self.loops.clone(),
             seeding: self.seeding.clone(),
             mapping: self.mapping.clone(),
+        }
+    }
+
+    /// The same algorithms and camera, but nothing of how the run was started.
+    pub(crate) fn of_another_run(self) -> Self {
+        Self {
+            run: RunSettings {
+                camera_overrides: self.run.camera_overrides,
+                ..RunSettings::default()
+            },
+            ..self
         }
     }
 
@@ -275,6 +298,7 @@ mod tests {
             frames: Some((2..8).into()),
             refine: Some(30),
             eval_holdout: Some(Holdout::every(8).unwrap()),
+            checkpoint_every_secs: Some(60),
             camera_overrides: None,
             commit: Some("unknown".into()),
         };

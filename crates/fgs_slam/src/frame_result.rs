@@ -40,7 +40,7 @@ impl fmt::Display for FrameStatus {
 }
 
 /// The result of one frame.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]
 pub struct FrameResult {
     /// Which frame.
@@ -58,7 +58,7 @@ pub struct FrameResult {
 }
 
 /// How well a frame could be registered.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]
 pub struct TrackingQuality {
     /// How many of its points have a surface and were to be registered.

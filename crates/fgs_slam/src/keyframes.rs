@@ -108,13 +108,18 @@ pub struct KeyframePolicy {
 }
 
 impl KeyframePolicy {
-    /// Before the first frame.
-    pub fn new(config: &KeyframeConfig) -> Self {
+    /// Before the first frame: without `frames_since_keyframe`.
+    pub fn new(config: &KeyframeConfig, frames_since_keyframe: Option<usize>) -> Self {
         Self {
             min_overlap_share: config.min_overlap_share,
             mapping_every: config.mapping_every,
-            frames_since_keyframe: None,
+            frames_since_keyframe,
         }
+    }
+
+    /// Frames since the last keyframe; `None` before the first.
+    pub fn frames_since_keyframe(&self) -> Option<usize> {
+        self.frames_since_keyframe
     }
 
     /// What the next tracked frame becomes, given the share of its points that overlap the sparse
@@ -160,7 +165,7 @@ mod tests {
         has_left: fn(usize) -> bool,
         allowed: fn(usize) -> bool,
     ) -> Vec<(usize, KeyframeKind)> {
-        let mut policy = KeyframePolicy::new(&KeyframeConfig::default());
+        let mut policy = KeyframePolicy::new(&KeyframeConfig::default(), None);
         let overlap = |i: usize| if i == 13 || i == 14 { 0.79 } else { 0.8 };
         (0..40)
             .filter_map(|i| Some((i, policy.decide(overlap(i), has_left(i), allowed(i))?)))

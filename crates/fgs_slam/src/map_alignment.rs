@@ -8,6 +8,7 @@ use fgs_direct::{
 };
 use fgs_geom::{FrameIndex, Image, Se3, View};
 use fgs_splat::{GaussianModel, ModelError};
+use serde::{Deserialize, Serialize};
 
 /// A pixel of a render shows the map if it is this opaque.
 const MIN_ALPHA: f32 = 0.95;
@@ -23,6 +24,7 @@ pub struct FrameToAlign {
 }
 
 /// What the map looks like from a pose. Frames taken nearby can be aligned with it.
+#[derive(Clone, Serialize, Deserialize)]
 pub struct MapReference {
     reference: Reference,
     world_from_camera: Se3,

@@ -4,8 +4,9 @@
 use fgs_direct::PosePrior;
 use fgs_geom::{FrameIndex, Image, KeyframeId, Se3};
 use fgs_splat::{
-    GaussianModel, Gaussians, LossError, ModelError, ModelSettings, PruneRule, SparseId,
+    GaussianModel, Gaussians, LossError, ModelError, ModelSettings, PruneRule, SavedModel, SparseId,
 };
+use serde::{Deserialize, Serialize};
 
 use crate::color_aligner::ColorAligner;
 use crate::config::{MappingConfig, SlamConfig};
@@ -54,12 +55,35 @@ pub enum MapperError {
 pub struct Mapper {
     model: Box<dyn GaussianModel>,
     config: SlamConfig,
+    state: MapperState,
+}
+
+/// What a mapper knows beside the map.
+#[derive(Clone, Serialize, Deserialize)]
+pub(crate) struct MapperState {
     choice: ViewChoice,
     /// The keyframes that can be optimised, in the order they came.
     views: Vec<(KeyframeId, FrameIndex)>,
     /// What frames are aligned with, and how many were.
     reference: Option<(MapReference, usize)>,
     steps: usize,
+}
+
+impl MapperState {
+    /// Of an empty map.
+    pub fn new(seed: u64) -> Self {
+        Self {
+            choice: ViewChoice::new(seed),
+            views: Vec::new(),
+            reference: None,
+            steps: 0,
+        }
+    }
+
+    /// What was counted begins anew.
+    pub fn forget_counts(&mut self) {
+        self.steps = 0;
+    }
 }
 
 /// How a configuration asks the model to optimise.
@@ -73,14 +97,28 @@ pub fn model_settings(config: &MappingConfig) -> ModelSettings {
 impl Mapper {
     /// With an empty model.
     pub fn new(model: Box<dyn GaussianModel>, config: &SlamConfig) -> Self {
+        Self::restored(model, config, MapperState::new(config.seed))
+    }
+
+    /// With a model that belongs to what the mapper knows.
+    pub(crate) fn restored(
+        model: Box<dyn GaussianModel>,
+        config: &SlamConfig,
+        state: MapperState,
+    ) -> Self {
         Self {
             model,
-            choice: ViewChoice::new(config.seed, config.mapping.covisible_probability),
-            views: Vec::new(),
-            reference: None,
-            steps: 0,
             config: config.clone(),
+            state,
         }
+    }
+
+    /// The map, and what else there is to know.
+    ///
+    /// # Errors
+    /// If the model fails.
+    pub(crate) fn save(&mut self) -> Result<(SavedModel, MapperState), MapperError> {
+        Ok((self.model.save()?, self.state.clone()))
     }
 
     /// Where the map lacks gaussians for a keyframe (M_m), once those yield that it contradicts.
@@ -132,7 +170,7 @@ impl Mapper {
         }
         let FrameToAlign { pyramid, prior, .. } = frame;
         let world_from_camera = &prior.world_from_camera;
-        let recent = self.reference.take();
+        let recent = self.state.reference.take();
         let (reference, frames) = match recent.filter(|(_, frames)| *frames < FRAMES_PER_RENDER) {
             Some(recent) => recent,
             None => {
@@ -142,7 +180,7 @@ impl Mapper {
             }
         };
         let pose = reference.align(pyramid, prior);
-        self.reference = Some((reference, frames + 1));
+        self.state.reference = Some((reference, frames + 1));
         let old_from_world = frame.prior.world_from_camera.inverse();
         Ok(pose.map(|pose| (old_from_world * pose).renormalized()))
     }
@@ -154,14 +192,13 @@ impl Mapper {
     pub fn insert(&mut self, prepared: PreparedKeyframe) -> Result<(), MapperError> {
         let keyframe = &prepared.keyframe;
         let id = keyframe.id;
-        self.reference = None;
+        self.state.reference = None;
         self.model.insert(&prepared.seeds, id)?;
         self.model.add_view(id, keyframe.view(), prepared.target)?;
         let covisibility = self.model.covisibility(id)?;
-        self.choice
-            .set_current(id, &covisibility, MIN_COVISIBLE_SHARE, NEWEST_FIRST);
-        self.views.push((id, keyframe.frame.index));
-        if self.views.len() > self.config.mapping.max_keyframes {
+        (self.state.choice).set_current(id, &covisibility, MIN_COVISIBLE_SHARE, NEWEST_FIRST);
+        self.state.views.push((id, keyframe.frame.index));
+        if self.state.views.len() > self.config.mapping.max_keyframes {
             self.drop_most_crowded_view()?;
         }
         Ok(())
@@ -169,7 +206,7 @@ impl Mapper {
 
     /// Whether there is a keyframe to optimise.
     pub fn has_views(&self) -> bool {
-        !self.views.is_empty()
+        !self.state.views.is_empty()
     }
 
     /// One optimisation step; nothing before the first keyframe.
@@ -177,7 +214,8 @@ impl Mapper {
     /// # Errors
     /// If the model fails.
     pub fn step(&mut self) -> Result<(), MapperError> {
-        match self.choice.draw() {
+        let covisible_probability = self.config.mapping.covisible_probability;
+        match self.state.choice.draw(covisible_probability) {
             Some(view) => self.step_on(view),
             None => Ok(()),
         }
@@ -189,7 +227,7 @@ impl Mapper {
     /// # Errors
     /// If the model fails.
     pub(crate) fn begin_refinement(&mut self) -> Result<Rounds, MapperError> {
-        let views: Vec<KeyframeId> = self.views.iter().map(|(id, _)| *id).collect();
+        let views: Vec<KeyframeId> = self.state.views.iter().map(|(id, _)| *id).collect();
         for id in &views {
             self.model.match_exposure(*id)?;
         }
@@ -212,13 +250,13 @@ impl Mapper {
     /// # Errors
     /// If the model fails.
     pub fn move_keyframes(&mut self, moves: &[(KeyframeId, Se3)]) -> Result<(), MapperError> {
-        self.reference = None;
+        self.state.reference = None;
         Ok(self.model.move_anchored(moves)?)
     }
 
     /// How many steps were taken.
     pub fn steps(&self) -> usize {
-        self.steps
+        self.state.steps
     }
 
     /// How many gaussians the map has.
@@ -257,8 +295,12 @@ impl Mapper {
         self.model.step(view)?;
         // Nobody reads them yet; left in the model they would grow with the run.
         self.model.take_stats();
-        self.steps += 1;
-        if self.steps.is_multiple_of(self.config.mapping.prune_every) {
+        self.state.steps += 1;
+        if self
+            .state
+            .steps
+            .is_multiple_of(self.config.mapping.prune_every)
+        {
             self.model.prune(&PRUNE_RULE)?;
         }
         Ok(())
@@ -267,10 +309,15 @@ impl Mapper {
     /// Forgets the keyframe that came soonest after its predecessor, so that those kept stay spread
     /// over the whole recording. The newest and the first stay.
     fn drop_most_crowded_view(&mut self) -> Result<(), MapperError> {
-        let gap = |i: &usize| self.views[*i].1.0.abs_diff(self.views[*i - 1].1.0);
-        if let Some(crowded) = (1..self.views.len() - 1).min_by_key(gap) {
-            let (id, _) = self.views.remove(crowded);
-            self.choice.forget(id);
+        let gap = |i: &usize| {
+            self.state.views[*i]
+                .1
+                .0
+                .abs_diff(self.state.views[*i - 1].1.0)
+        };
+        if let Some(crowded) = (1..self.state.views.len() - 1).min_by_key(gap) {
+            let (id, _) = self.state.views.remove(crowded);
+            self.state.choice.forget(id);
             self.model.drop_view(id)?;
         }
         Ok(())

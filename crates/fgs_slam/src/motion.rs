@@ -7,6 +7,7 @@
 
 use fgs_geom::Se3;
 use nalgebra::Vector6;
+use serde::{Deserialize, Serialize};
 
 /// Assumed between two frames whose time stamps do not advance: then velocity is in effect per
 /// frame, whatever this value.
@@ -17,14 +18,14 @@ const NOMINAL_INTERVAL_SECS: f64 = 1.0 / 30.0;
 const HORIZON_SECS: f64 = 0.5;
 
 /// Predicts where the camera is next.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
 pub struct MotionModel {
     last: Option<TimedPose>,
     /// Twist `[omega, v]` in the camera's axes, rad/s and m/s.
     velocity: Vector6<f64>,
 }
 
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
 struct TimedPose {
     world_from_camera: Se3,
     timestamp_secs: f64,

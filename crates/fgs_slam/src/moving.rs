@@ -8,6 +8,7 @@ use std::sync::Arc;
 
 use fgs_geom::{Camera, Image, RgbdFrame, Se3, has_depth};
 use nalgebra::Vector3;
+use serde::{Deserialize, Serialize};
 
 /// Images are compared in cells, so many in a row of them: fine enough for an arm, and coarse enough that a
 /// pose that is a little off moves no edge by more than a cell.
@@ -35,7 +36,7 @@ const CONTINUOUS: f32 = 0.03;
 const MIN_SHARE: f64 = 0.004;
 
 /// Tells what moves.
-#[derive(Default)]
+#[derive(Clone, Default, Serialize, Deserialize)]
 pub struct MovingThings {
     /// Earlier frames, the oldest first.
     seen: VecDeque<Seen>,
@@ -49,6 +50,7 @@ pub struct Moving {
 }
 
 /// What an earlier frame saw.
+#[derive(Clone, Serialize, Deserialize)]
 struct Seen {
     timestamp_secs: f64,
     world_from_camera: Se3,
@@ -60,6 +62,7 @@ struct Seen {
 }
 
 /// A depth image in cells.
+#[derive(Clone, Serialize, Deserialize)]
 struct Cells {
     camera: Camera,
     /// The side of a cell, pixels.
@@ -127,6 +130,22 @@ impl MovingThings {
             ),
             cells,
         });
+    }
+
+    /// Whether all earlier frames are of a camera.
+    pub fn are_of(&self, camera: &Camera) -> bool {
+        let side_px = Cells::side_px(camera);
+        let (width, height) = Cells::size(camera);
+        self.seen.iter().all(|seen| {
+            let sizes = [
+                (seen.cells.nearest_m.width(), seen.cells.nearest_m.height()),
+                (seen.free_to_m.width(), seen.free_to_m.height()),
+                (seen.moved_secs.width(), seen.moved_secs.height()),
+            ];
+            seen.cells.camera == *camera
+                && seen.cells.side_px == side_px
+                && sizes.iter().all(|size| *size == (width, height))
+        })
     }
 
     /// The world moved rigidly, and all earlier frames with it.
@@ -222,10 +241,20 @@ impl Seen {
 }
 
 impl Cells {
+    fn side_px(camera: &Camera) -> usize {
+        (camera.width / CELLS_ACROSS).max(1)
+    }
+
+    /// How many there are across and down.
+    fn size(camera: &Camera) -> (usize, usize) {
+        let side_px = Self::side_px(camera);
+        (camera.width / side_px, (camera.height / side_px).max(1))
+    }
+
     fn new(frame: &RgbdFrame) -> Self {
         let camera = frame.camera;
-        let side_px = (camera.width / CELLS_ACROSS).max(1);
-        let (width, height) = (camera.width / side_px, (camera.height / side_px).max(1));
+        let side_px = Self::side_px(&camera);
+        let (width, height) = Self::size(&camera);
         let nearest_m = Image::from_fn(width, height, |u, v| {
             let rows = (v * side_px)..((v + 1) * side_px).min(camera.height);
             let depths = rows.flat_map(|row| &frame.depth_m.row(row)[u * side_px..][..side_px]);

@@ -9,6 +9,7 @@ use fgs_geom::{RgbdFrame, Se3};
 use fgs_gicp::{Alignment, Point, Settings, SurfacePoint, align};
 use nalgebra::{Matrix6, Vector6};
 use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
 
 use crate::color_aligner::ColorAligner;
 use crate::config::{SlamConfig, SurfaceConfig, TrackingConfig};
@@ -109,7 +110,7 @@ pub struct Attempt {
 }
 
 /// Where a frame was taken.
-#[derive(Clone, Copy)]
+#[derive(Clone, Copy, Serialize, Deserialize)]
 pub struct Located {
     pub world_from_camera: Se3,
     /// Twist `[omega, v]` in the camera's axes, rad/s and m/s.
@@ -144,6 +145,11 @@ impl Registrar {
             config: config.tracking.clone(),
             surface: config.surface.clone(),
         }
+    }
+
+    /// Whether colour takes part.
+    pub fn uses_color(&self) -> bool {
+        self.config.color
     }
 
     /// The pose of the frame that starts a map: its colour camera is at a pose of our choice. `None` if
@@ -264,7 +270,7 @@ impl Registrar {
     ) -> Attempt {
         let velocity = (known.motion).velocity_to(&registered.world_from_depth, measured.seconds);
         let frame = shared(measured.frame, measured.frame.with_steady_color(&velocity));
-        let pyramid = self.config.color.then(|| ColorAligner::pyramid(&frame));
+        let pyramid = self.uses_color().then(|| ColorAligner::pyramid(&frame));
         let depth_from_color = frame.depth_sensor.color_from_depth(&velocity).inverse();
         let depth_by_color = depth_from_color.adjoint();
         let in_color_axes =

@@ -65,6 +65,12 @@ impl Relocalizer {
         });
     }
 
+    /// The last frame whose pose is trusted, and its pose.
+    pub fn last(&self) -> Option<(&Arc<RgbdFrame>, &Se3)> {
+        let last = self.last.as_ref()?;
+        Some((&last.frame, &last.world_from_camera))
+    }
+
     /// A frame whose pose is trusted.
     pub fn observe(&mut self, frame: &Arc<RgbdFrame>, world_from_camera: &Se3) {
         self.last = Some(LastFrame {

@@ -5,6 +5,7 @@
 use std::sync::Arc;
 
 use fgs_geom::{Image, RgbdFrame, Se3, has_depth};
+use serde::{Deserialize, Serialize};
 
 use crate::frame_result::TrackingQuality;
 use crate::verdict::Verdict;
@@ -17,7 +18,7 @@ const FORGOTTEN_SECS: f64 = 1.0;
 
 /// When images were really taken, seconds on the recording's clock. A slow camera takes them at even
 /// intervals; the recorder's stamps of those that come once are too early or too late by up to a period.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
 pub struct Clock {
     /// Of the newest image: its stamp, and when it was taken.
     stamp_secs: f64,
@@ -43,8 +44,8 @@ impl Clock {
         self.repeated_secs = stamp_secs;
     }
 
-    /// When a new image was taken.
-    pub fn time(&mut self, stamp_secs: f64) -> f64 {
+    /// A new image came with a stamp.
+    pub fn take(&mut self, stamp_secs: f64) {
         let interval = stamp_secs - self.stamp_secs;
         let taken_secs = match self.mean_interval_secs {
             Some(mean) if stamp_secs - self.repeated_secs < FORGOTTEN_SECS => {
@@ -58,7 +59,11 @@ impl Clock {
             self.mean_interval_secs = Some(mean + RATE * (interval - mean));
         }
         (self.stamp_secs, self.taken_secs) = (stamp_secs, taken_secs);
-        taken_secs
+    }
+
+    /// When the newest image was taken.
+    pub fn now_secs(&self) -> f64 {
+        self.taken_secs
     }
 }
 
@@ -72,6 +77,7 @@ pub enum Repeat {
 }
 
 /// The last frame that was not a repetition, and what became of it.
+#[derive(Clone, Serialize, Deserialize)]
 pub struct LatestFrame {
     pub frame: Arc<RgbdFrame>,
     pub verdict: Verdict,
@@ -153,7 +159,8 @@ mod tests {
             if i > 0 && newest(i) == newest(i - 1) {
                 clock.repeat(stamp_secs);
             } else {
-                taken.push(clock.time(stamp_secs));
+                clock.take(stamp_secs);
+                taken.push(clock.now_secs());
             }
         }
         // Stamps say 33 or 67 ms.
@@ -171,7 +178,8 @@ mod tests {
     fn without_repetitions_stamps_are_believed_whatever_they_are() {
         let mut clock = Clock::default();
         for stamp_secs in [0.0, 0.03, 0.2, 0.25, 0.25, 3.0] {
-            assert_eq!(clock.time(stamp_secs), stamp_secs);
+            clock.take(stamp_secs);
+            assert_eq!(clock.now_secs(), stamp_secs);
         }
     }
 }

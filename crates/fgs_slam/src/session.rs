@@ -1,13 +1,14 @@
 //! A session: frames in, one by one; poses, events and a map out. Everything that runs the system
 //! drives this one type.
 
+use std::collections::BTreeSet;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 use std::time::{Duration, Instant};
 
 use fgs_geom::{Camera, FrameError, FrameIndex, KeyframeId, RgbdFrame, Se3};
 use fgs_graph::KeyframeGraph;
-use fgs_splat::{GaussianModel, Gaussians, SettingError};
+use fgs_splat::{GaussianModel, Gaussians, LossError, ModelError, SettingError, Target};
 use rayon::ThreadPool;
 
 use crate::config::SlamConfig;
@@ -18,6 +19,7 @@ use crate::keyframes::{Admission, FrameWork, Keyframe, KeyframeKind};
 use crate::loops::{LoopCloser, successive_edge};
 use crate::mapper::MapperError;
 use crate::refinement::RefinedMap;
+use crate::saved_session::{RecordedFrame, SavedSession};
 use crate::system::{self, Execution, MapStatus, MapperGone, Mapping, Moves};
 use crate::tracker::Tracker;
 use crate::verdict::Verdict;
@@ -36,21 +38,20 @@ pub struct Slam {
     events: EventHub,
     /// The one owner of keyframe poses.
     graph: KeyframeGraph,
-    /// `None` if loops are not to be closed.
-    loops: Option<LoopCloser>,
+    closes_loops: bool,
+    loops: LoopCloser,
     closed_loops: usize,
     keyframes: Vec<(KeyframeId, KeyframeKind, FrameIndex)>,
     frames: Vec<RecordedFrame>,
     first: FrameIndex,
     holdout: Option<Holdout>,
+    /// Whether no frame becomes a keyframe.
+    localizes_only: bool,
+    /// Keyframes' images that nobody has taken yet; `None` if nobody wants them.
+    new_keyframes: Option<Vec<(KeyframeId, Arc<RgbdFrame>)>>,
     start: Instant,
-}
-
-/// A frame's result. Its pose is relative to a keyframe, so that it follows corrections.
-struct RecordedFrame {
-    result: FrameResult,
-    /// The keyframe, and `keyframe_from_camera`.
-    pose: Option<(KeyframeId, Se3)>,
+    /// Wall time before `start`, in sessions that this one goes on with.
+    elapsed: Duration,
 }
 
 /// What a session found.
@@ -82,7 +83,7 @@ pub struct SlamOutput {
 pub struct KeyframeRecord {
     /// Its name.
     pub id: KeyframeId,
-    /// The frame.
+    /// The frame, of the recording that the keyframe came from.
     pub index: FrameIndex,
     /// What it is for.
     pub kind: KeyframeKind,
@@ -127,6 +128,15 @@ pub enum SlamError {
     /// There is no keyframe of this name.
     #[error("there is no keyframe {0:?}")]
     NoSuchKeyframe(KeyframeId),
+    /// A saved session contradicts itself.
+    #[error("what was saved of a session contradicts itself")]
+    Inconsistent,
+    /// A saved map cannot be taken over.
+    #[error(transparent)]
+    Model(#[from] ModelError),
+    /// The images of a saved keyframe do not belong together.
+    #[error(transparent)]
+    Images(#[from] LossError),
     /// The mapper has failed; [`Slam::finish`] says why and returns what there was.
     #[error("the mapper has stopped")]
     MapperStopped,
@@ -150,25 +160,130 @@ impl Slam {
         execution: Execution,
         model: Box<dyn GaussianModel>,
     ) -> Result<Self, SlamError> {
-        config.validate()?;
-        let (map, events) = (Arc::default(), EventHub::default());
-        let (mapping, tracker_threads) =
-            system::start(camera, config, execution, model, &map, &events)?;
+        let nothing = SavedSession::new(camera, config.seed);
+        Self::restore(config, execution, model, nothing, |_| {
+            Err(SlamError::Inconsistent)
+        })
+    }
+
+    /// Goes on with a saved session as if it had never ended: in lockstep with the same settings and
+    /// the same kind of model to the last bit. The model must be empty. `image_of` gives a keyframe's
+    /// images, as [`take_new_keyframes`](Self::take_new_keyframes) did; it is asked for each of
+    /// [`SavedSession::keyframes`] once, in their order, and none is kept that the session does not
+    /// optimise the map with.
+    ///
+    /// # Errors
+    /// Whatever `image_of` returns; if a setting is impossible, threads do not start, or what was saved
+    /// contradicts itself.
+    pub fn restore<E: From<SlamError>>(
+        config: &SlamConfig,
+        execution: Execution,
+        model: Box<dyn GaussianModel>,
+        saved: SavedSession,
+        mut image_of: impl FnMut(KeyframeId) -> Result<RgbdFrame, E>,
+    ) -> Result<Self, E> {
+        config.validate().map_err(SlamError::from)?;
+        if !saved.is_consistent() {
+            return Err(SlamError::Inconsistent.into());
+        }
+        let camera = saved.camera;
+        let mut tracker = Tracker::restored(&camera, config, saved.tracker);
+        let views: BTreeSet<KeyframeId> = saved.mapping.views().collect();
+        let mut targets = Vec::new();
+        let mut color_valid = None;
+        for ((id, kind, _), (_, pose)) in saved.keyframes.iter().zip(saved.graph.poses()) {
+            let mut frame = image_of(*id)?;
+            // Frames of one recording share the mask, if the lens alone makes it.
+            if frame.color_valid == color_valid {
+                frame.color_valid = color_valid;
+            }
+            color_valid = frame.color_valid.clone();
+            let frame = Arc::new(frame);
+            if frame.camera != camera || frame.check().is_err() {
+                return Err(SlamError::Inconsistent.into());
+            }
+            if views.contains(id) {
+                targets.push(Target::from_frame(&frame).map_err(SlamError::from)?);
+            }
+            tracker.remember(&Keyframe {
+                id: *id,
+                kind: *kind,
+                frame,
+                world_from_camera: *pose,
+                information: None,
+                new_points: Vec::new(),
+            });
+        }
+        let ready = saved.mapping.put_into(model, targets);
+        let (map, events) = (
+            Arc::new(MapStatus::restored(saved.report)),
+            EventHub::default(),
+        );
+        let (mapping, tracker_threads) = system::start(
+            &camera,
+            config,
+            execution,
+            ready.map_err(SlamError::from)?,
+            &map,
+            &events,
+        )
+        .map_err(SlamError::from)?;
         Ok(Self {
-            camera: *camera,
-            tracker: Tracker::new(camera, config),
+            camera,
+            tracker,
             tracker_threads,
             mapping,
             map,
             events,
-            graph: KeyframeGraph::new(),
-            loops: config.loops.enabled.then(LoopCloser::default),
-            closed_loops: 0,
-            keyframes: Vec::new(),
-            frames: Vec::new(),
-            first: FrameIndex(0),
-            holdout: None,
+            graph: saved.graph,
+            closes_loops: config.loops.enabled,
+            loops: saved.loops,
+            closed_loops: saved.closed_loops,
+            keyframes: saved.keyframes,
+            frames: saved.frames,
+            first: saved.first,
+            holdout: saved.holdout,
+            localizes_only: saved.localizes_only,
+            new_keyframes: None,
             start: Instant::now(),
+            elapsed: saved.elapsed,
+        })
+    }
+
+    /// From now on keyframes' images are kept until they are [taken](Self::take_new_keyframes), for
+    /// whoever wants to [save](Self::save) the session.
+    pub fn keep_new_keyframes(&mut self) {
+        self.new_keyframes.get_or_insert_default();
+    }
+
+    /// The keyframes since the last call, with their images, as
+    /// [`keep_new_keyframes`](Self::keep_new_keyframes) asked for them.
+    pub fn take_new_keyframes(&mut self) -> Vec<(KeyframeId, Arc<RgbdFrame>)> {
+        let new = self.new_keyframes.as_mut().map(std::mem::take);
+        new.unwrap_or_default()
+    }
+
+    /// All that the session knows between two frames, to be [restored](Self::restore) some day. The
+    /// mapper first does what it was given.
+    ///
+    /// # Errors
+    /// If the mapper has stopped.
+    pub fn save(&mut self) -> Result<SavedSession, SlamError> {
+        let mapping = self.mapping.save()?;
+        Ok(SavedSession {
+            camera: self.camera,
+            tracker: self.tracker.save(),
+            mapping,
+            report: self.map.save(),
+            graph: self.graph.clone(),
+            loops: self.loops.clone(),
+            closed_loops: self.closed_loops,
+            keyframes: self.keyframes.clone(),
+            frames: self.frames.clone(),
+            first: self.first,
+            holdout: self.holdout,
+            localizes_only: self.localizes_only,
+            elapsed: self.elapsed + self.start.elapsed(),
         })
     }
 
@@ -282,6 +397,11 @@ impl Slam {
         &self.graph
     }
 
+    /// Whether the mapper has stopped, so that there is no more to do than to finish.
+    pub fn has_stopped(&self) -> bool {
+        !self.wait_until(Instant::now())
+    }
+
     /// Waits until a time; `false` as soon as the mapper is gone.
     pub(crate) fn wait_until(&self, time: Instant) -> bool {
         self.mapping.wait_until(time).is_ok()
@@ -308,6 +428,7 @@ impl Slam {
         }
         let mapped = self.mapping.finish(closing, steps, stop);
         let refining = mapped.refined.as_ref().map(|refined| refined.duration);
+        let elapsed = self.elapsed + self.start.elapsed();
         take_moved(&self.map, &mut self.graph, &mut self.tracker, &self.events);
         take_aligned(&self.map, &mut self.frames);
         self.events.close();
@@ -339,7 +460,7 @@ impl Slam {
             refined: mapped.refined,
             device_bytes: mapped.device_bytes,
             timings: Timings {
-                total: self.start.elapsed() - refining.unwrap_or_default(),
+                total: elapsed.saturating_sub(refining.unwrap_or_default()),
                 mapping: mapped.busy,
                 steps: mapped.steps,
             },
@@ -361,7 +482,7 @@ impl Slam {
 
     fn admission(&self, index: FrameIndex) -> Admission {
         let place = index.0.saturating_sub(self.first.0);
-        if self.holdout.is_some_and(|holdout| holdout.contains(place)) {
+        if self.localizes_only || self.holdout.is_some_and(|holdout| holdout.contains(place)) {
             Admission::HeldOut
         } else if self.mapping.accepts_keyframe() {
             Admission::Allowed
@@ -387,16 +508,19 @@ impl Slam {
         }
         self.keyframes
             .push((keyframe.id, keyframe.kind, keyframe.frame.index));
+        if let Some(new) = &mut self.new_keyframes {
+            new.push((keyframe.id, Arc::clone(&keyframe.frame)));
+        }
     }
 
     /// Takes out what has drifted since the camera was last where a new keyframe finds it.
     fn close_loop(&mut self, id: KeyframeId, frame: &RgbdFrame) -> Result<(), SlamError> {
-        let Some(loops) = &mut self.loops else {
+        if !self.closes_loops {
             return Ok(());
-        };
+        }
         take_moved(&self.map, &mut self.graph, &mut self.tracker, &self.events);
         let memory = self.tracker.memory();
-        let Some(correction) = loops.close(id, frame, &self.graph, &memory) else {
+        let Some(correction) = self.loops.close(id, frame, &self.graph, &memory) else {
             return Ok(());
         };
         for edge in correction.edges {

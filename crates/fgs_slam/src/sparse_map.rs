@@ -9,6 +9,7 @@ use std::ops::Range;
 use fgs_geom::{KeyframeId, Se3};
 use fgs_gicp::{Point, PointMap};
 use fgs_splat::SparseId;
+use serde::{Deserialize, Serialize};
 
 /// Side of the point map's cells as a multiple of the search distance. Affects speed only: from 3
 /// to 6 it makes no difference; at 1 tracking takes twice as long.
@@ -22,13 +23,35 @@ pub struct SparseMap {
     next_id: u32,
 }
 
+/// A sparse map as plain data.
+#[derive(Clone, Default, Serialize, Deserialize)]
+pub struct SavedSparseMap {
+    points: Vec<(u64, Point)>,
+    anchors: Vec<(u32, KeyframeId)>,
+    next_id: u32,
+}
+
 impl SparseMap {
-    /// An empty map that is searched up to this distance.
-    pub fn new(search_distance_m: f64) -> Self {
+    /// A map that is searched up to this distance.
+    pub fn restored(search_distance_m: f64, saved: SavedSparseMap) -> Self {
+        let mut points = PointMap::new(CELL_DISTANCES * search_distance_m as f32);
+        for (id, point) in saved.points {
+            points.insert(id, point);
+        }
         Self {
-            points: PointMap::new(CELL_DISTANCES * search_distance_m as f32),
-            anchors: Vec::new(),
-            next_id: 0,
+            points,
+            anchors: saved.anchors,
+            next_id: saved.next_id,
+        }
+    }
+
+    /// Everything but the settings.
+    pub fn save(&self) -> SavedSparseMap {
+        let points = self.anchored(|_| true);
+        SavedSparseMap {
+            points: points.map(|(id, point)| (id, *point)).collect(),
+            anchors: self.anchors.clone(),
+            next_id: self.next_id,
         }
     }
 
@@ -125,7 +148,7 @@ mod tests {
     }
 
     fn map() -> SparseMap {
-        let mut map = SparseMap::new(0.03);
+        let mut map = SparseMap::restored(0.03, SavedSparseMap::default());
         map.extend(KeyframeId(0), &points(1.0), 0.02);
         map.extend(KeyframeId(3), &points(2.0), 0.02);
         map

@@ -19,6 +19,7 @@ use fgs_geom::{Camera, KeyframeId, RgbdFrame, Se3};
 use fgs_gicp::{DepthGrid, Point, SurfacePoint};
 use fgs_splat::SparseId;
 use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
 
 use crate::color_aligner::ColorAligner;
 use crate::config::{KeyframeConfig, SlamConfig};
@@ -31,7 +32,7 @@ use crate::moving::{Moving, MovingThings};
 use crate::registrar::{Attempt, Known, Located, Measured, Registrar, Start, shared};
 use crate::relocalizer::{Guess, Relocalizer};
 use crate::repeats::{Clock, LatestFrame, Repeat};
-use crate::sparse_map::SparseMap;
+use crate::sparse_map::{SavedSparseMap, SparseMap};
 use crate::surface::tracking_grid;
 use crate::verdict::Verdict;
 
@@ -49,20 +50,60 @@ pub struct Tracker {
     footing: Footing,
     latest: Option<LatestFrame>,
     clock: Clock,
-    now_secs: f64,
     newest_keyframe: Option<KeyframeId>,
     /// The last trusted frame that was not held out, unless it became a keyframe.
     unmapped: Option<(Arc<RgbdFrame>, Located)>,
 }
 
 /// What the camera's last pose is worth.
+#[derive(Clone, Default, Serialize, Deserialize)]
 enum Footing {
     /// It is trusted.
+    #[default]
     Firm,
     /// The camera is lost.
     Lost,
     /// One frame says where it is. If the next does not agree, the motion before is taken up.
     Found { before: MotionModel },
+}
+
+/// What a tracker remembers, as plain data, apart from its keyframes.
+#[derive(Default, Serialize, Deserialize)]
+pub struct SavedTracker {
+    frames_since_keyframe: Option<usize>,
+    map: SavedSparseMap,
+    motion: MotionModel,
+    moving: MovingThings,
+    footing: Footing,
+    latest: Option<LatestFrame>,
+    clock: Clock,
+    last: Option<(Arc<RgbdFrame>, Se3)>,
+    unmapped: Option<(Arc<RgbdFrame>, Located)>,
+}
+
+impl SavedTracker {
+    /// The camera is lost, and nothing is known of where it has been.
+    pub fn lose(&mut self) {
+        *self = Self {
+            frames_since_keyframe: self.frames_since_keyframe,
+            map: std::mem::take(&mut self.map),
+            footing: Footing::Lost,
+            ..Self::default()
+        };
+    }
+
+    /// Whether what it remembers beside frames is of a camera.
+    pub fn is_of(&self, camera: &Camera) -> bool {
+        self.moving.are_of(camera)
+    }
+
+    /// The frames that it remembers.
+    pub fn frames(&self) -> impl Iterator<Item = &RgbdFrame> {
+        let last = self.last.iter().map(|(frame, _)| &**frame);
+        let latest = self.latest.iter().map(|latest| &*latest.frame);
+        last.chain(latest)
+            .chain(self.unmapped.iter().map(|(frame, _)| &**frame))
+    }
 }
 
 /// What the tracker says of a frame.
@@ -78,25 +119,55 @@ pub struct Tracked {
 }
 
 impl Tracker {
-    /// For frames of one camera, with an empty map. The first frame with enough depth defines the
-    /// world's axes.
-    pub fn new(camera: &Camera, config: &SlamConfig) -> Self {
+    /// For frames of one camera; its keyframes must be [added](Self::remember). With an empty map, the
+    /// first frame with enough depth defines the world's axes.
+    pub fn restored(camera: &Camera, config: &SlamConfig, saved: SavedTracker) -> Self {
+        let mut relocalizer = Relocalizer::default();
+        if let Some((frame, world_from_camera)) = &saved.last {
+            relocalizer.observe(frame, world_from_camera);
+        }
+        let search_distance_m = config.tracking.max_correspondence_distance_m;
         Self {
-            policy: KeyframePolicy::new(&config.keyframes),
+            policy: KeyframePolicy::new(&config.keyframes, saved.frames_since_keyframe),
             grid: tracking_grid(config, camera),
             registrar: Registrar::new(config),
-            map: SparseMap::new(config.tracking.max_correspondence_distance_m),
+            map: SparseMap::restored(search_distance_m, saved.map),
             color: ColorAligner::default(),
-            relocalizer: Relocalizer::default(),
-            motion: MotionModel::default(),
-            moving: MovingThings::default(),
-            footing: Footing::Firm,
-            latest: None,
-            clock: Clock::default(),
-            now_secs: 0.0,
+            relocalizer,
+            motion: saved.motion,
+            moving: saved.moving,
+            footing: saved.footing,
+            latest: saved.latest,
+            clock: saved.clock,
             newest_keyframe: None,
-            unmapped: None,
+            unmapped: saved.unmapped,
             keyframes: config.keyframes.clone(),
+        }
+    }
+
+    /// Adds a keyframe of an earlier session, whose points are in the sparse map.
+    pub fn remember(&mut self, keyframe: &Keyframe) {
+        if self.registrar.uses_color() {
+            let pyramid = ColorAligner::pyramid(&keyframe.frame);
+            self.color.add(keyframe, &pyramid);
+        }
+        self.relocalizer.add(keyframe);
+        self.newest_keyframe = Some(keyframe.id);
+    }
+
+    /// Everything but the settings and the keyframes.
+    pub fn save(&self) -> SavedTracker {
+        let last = self.relocalizer.last();
+        SavedTracker {
+            frames_since_keyframe: self.policy.frames_since_keyframe(),
+            map: self.map.save(),
+            motion: self.motion.clone(),
+            moving: self.moving.clone(),
+            footing: self.footing.clone(),
+            latest: self.latest.clone(),
+            clock: self.clock,
+            last: last.map(|(frame, pose)| (Arc::clone(frame), *pose)),
+            unmapped: self.unmapped.clone(),
         }
     }
 
@@ -115,7 +186,7 @@ impl Tracker {
             },
             (Some(Repeat::Depth), _) => self.track_by_color(frame),
             _ => {
-                self.now_secs = self.clock.time(frame.timestamp_secs);
+                self.clock.take(frame.timestamp_secs);
                 self.track_new(frame, admission)
             }
         };
@@ -271,16 +342,16 @@ impl Tracker {
         let measured = Measured {
             frame,
             points,
-            seconds: self.now_secs,
+            seconds: self.clock.now_secs(),
         };
         if self.newest_keyframe.is_none() {
             let place = || (self.registrar).place(measured, self.known(), &Se3::identity());
             return (admission == Admission::Allowed).then(place).flatten();
         }
         let attempt = |start: &Start| self.registrar.attempt(measured, self.known(), start);
-        let predicted = self.motion.predict(measured.seconds)?;
+        let predicted = self.motion.predict(measured.seconds);
         let is_clear = |best: &Option<Attempt>| best.as_ref().is_some_and(|best| !best.is_doubtful);
-        let mut best = attempt(&Start::predicted(predicted));
+        let mut best = predicted.and_then(|predicted| attempt(&Start::predicted(predicted)));
         if is_clear(&best) {
             return best;
         }
@@ -342,7 +413,7 @@ impl Tracker {
         let Attempt { located, frame, .. } = attempt;
         let color_from_depth = frame.depth_sensor.color_from_depth(&located.velocity);
         let world_from_depth = located.world_from_camera * color_from_depth;
-        self.motion.observe(world_from_depth, self.now_secs);
+        self.motion.observe(world_from_depth, self.clock.now_secs());
     }
 
     /// What a trusted frame gives the mapper: a keyframe, or a frame to align.

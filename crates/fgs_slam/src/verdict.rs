@@ -4,6 +4,7 @@
 //! Differs from the paper, which believes every pose.
 
 use fgs_direct::Agreement;
+use serde::{Deserialize, Serialize};
 
 use crate::config::TrackingConfig;
 
@@ -33,7 +34,7 @@ const FOUND_INLIER_SHARE: f64 = 0.75;
 const MAX_UNCERTAINTY_M: f64 = 0.01;
 
 /// What to make of a pose.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 pub enum Verdict {
     /// It is wrong, or nothing speaks for it.
     Lost,

@@ -6,11 +6,12 @@ use std::collections::VecDeque;
 use fgs_geom::KeyframeId;
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
+use serde::{Deserialize, Serialize};
 
 /// Draws keyframes; the same seed and calls give the same draws.
+#[derive(Clone, Serialize, Deserialize)]
 pub struct ViewChoice {
     rng: Pcg64Mcg,
-    covisible_probability: f64,
     covisible: Vec<KeyframeId>,
     others: Vec<KeyframeId>,
     /// Views to be drawn before all others.
@@ -19,10 +20,9 @@ pub struct ViewChoice {
 
 impl ViewChoice {
     /// Without any view to draw.
-    pub fn new(seed: u64, covisible_probability: f64) -> Self {
+    pub fn new(seed: u64) -> Self {
         Self {
             rng: Pcg64Mcg::seed_from_u64(seed),
-            covisible_probability,
             covisible: Vec::new(),
             others: Vec::new(),
             first: VecDeque::new(),
@@ -56,12 +56,13 @@ impl ViewChoice {
         self.first.retain(|view| *view != id);
     }
 
-    /// The next view to optimise; `None` before the first keyframe.
-    pub fn draw(&mut self) -> Option<KeyframeId> {
+    /// The next view to optimise, a covisible one with some probability; `None` before the first
+    /// keyframe.
+    pub fn draw(&mut self, covisible_probability: f64) -> Option<KeyframeId> {
         if let Some(first) = self.first.pop_front() {
             return Some(first);
         }
-        let covisible = self.rng.random::<f64>() < self.covisible_probability;
+        let covisible = self.rng.random::<f64>() < covisible_probability;
         let group = match (covisible, self.covisible.is_empty(), self.others.is_empty()) {
             (_, true, true) => return None,
             (_, _, true) | (true, false, _) => &self.covisible,
@@ -76,7 +77,7 @@ mod tests {
     use super::*;
 
     fn views() -> ViewChoice {
-        let mut choice = ViewChoice::new(7, 0.7);
+        let mut choice = ViewChoice::new(7);
         let covisibility = [
             (KeyframeId(0), 0.1),
             (KeyframeId(1), 0.7),
@@ -89,11 +90,11 @@ mod tests {
     #[test]
     fn newest_first_then_seventy_to_thirty() {
         let mut choice = views();
-        assert_eq!(choice.draw(), Some(KeyframeId(3)));
-        assert_eq!(choice.draw(), Some(KeyframeId(3)));
+        assert_eq!(choice.draw(0.7), Some(KeyframeId(3)));
+        assert_eq!(choice.draw(0.7), Some(KeyframeId(3)));
         let mut counts = [0; 4];
         for _ in 0..10_000 {
-            counts[choice.draw().unwrap().0 as usize] += 1;
+            counts[choice.draw(0.7).unwrap().0 as usize] += 1;
         }
         for (count, share) in counts.iter().zip([0.15, 0.15, 0.35, 0.35]) {
             assert!(
@@ -105,18 +106,18 @@ mod tests {
 
     #[test]
     fn repeats_itself() {
-        let draws = |mut choice: ViewChoice| (0..50).map(|_| choice.draw()).collect::<Vec<_>>();
+        let draws = |mut choice: ViewChoice| (0..50).map(|_| choice.draw(0.7)).collect::<Vec<_>>();
         assert_eq!(draws(views()), draws(views()));
     }
 
     #[test]
     fn draws_what_there_is() {
-        let mut choice = ViewChoice::new(7, 0.7);
-        assert_eq!(choice.draw(), None);
+        let mut choice = ViewChoice::new(7);
+        assert_eq!(choice.draw(0.7), None);
         choice.set_current(KeyframeId(0), &[], 0.7, 0);
-        assert!((0..20).all(|_| choice.draw() == Some(KeyframeId(0))));
+        assert!((0..20).all(|_| choice.draw(0.7) == Some(KeyframeId(0))));
         choice.set_current(KeyframeId(1), &[(KeyframeId(0), 0.0)], 0.7, 5);
         choice.forget(KeyframeId(1));
-        assert!((0..20).all(|_| choice.draw() == Some(KeyframeId(0))));
+        assert!((0..20).all(|_| choice.draw(0.7) == Some(KeyframeId(0))));
     }
 }

@@ -7,11 +7,12 @@ mod common;
 use std::io::Write;
 use std::sync::atomic::AtomicBool;
 
+use common::saved::Folder;
 use common::{
     config, cpu_model, feed, frames, poses, psnr_of_map_db, room, session_with,
     worst_position_error_m,
 };
-use fgs_slam::{Execution, SlamOutput, model_settings};
+use fgs_slam::{Execution, Slam, SlamOutput, model_settings};
 use fgs_splat::{GaussianModel, GpuDevice, GpuError, GpuModel};
 use fgs_synth::Sequence;
 
@@ -24,20 +25,61 @@ fn go(sequence: &Sequence, execution: Execution, model: Box<dyn GaussianModel>) 
     slam.finish_refined(REFINE_STEPS, &AtomicBool::new(false))
 }
 
-#[test]
-fn a_run_on_a_device_repeats_itself_and_is_as_good_as_on_the_cpu() {
-    let device = match GpuDevice::find(true, None) {
-        Ok(device) => device,
+fn device() -> Option<GpuDevice> {
+    match GpuDevice::find(true, None) {
+        Ok(device) => Some(device),
         Err(GpuError::NoAdapter(_)) => {
             // Not through `eprintln`, which the test harness keeps to itself.
             let _ = writeln!(
                 std::io::stderr(),
                 "no graphics device was found: 1 test skipped"
             );
-            return;
+            None
         }
         Err(error) => panic!("{error}"),
+    }
+}
+
+#[test]
+fn a_saved_run_goes_on_to_the_last_bit_on_a_device_and_elsewhere() {
+    let Some(device) = device() else { return };
+    let sequence = room(FRAMES);
+    let mut config = config();
+    config.mapping.prune_every = 5;
+    let settings = model_settings(&config.mapping);
+    let new_model = || Box::new(GpuModel::new(device.clone(), &settings).unwrap());
+    let start = || {
+        let lockstep = Execution::Lockstep;
+        let mut slam = Slam::new(sequence.camera(), &config, lockstep, new_model()).unwrap();
+        slam.keep_new_keyframes();
+        slam
     };
+    let go_on = |mut slam: Slam, indices: std::ops::Range<usize>| {
+        for i in indices {
+            slam.push(sequence.frame(i)).unwrap();
+        }
+        slam
+    };
+    let whole = go_on(start(), 0..FRAMES).finish();
+    let mut folder = Folder::default();
+    for after in [5, FRAMES - 1] {
+        folder.save(&mut go_on(start(), 0..after));
+        let restored = |model: Box<dyn GaussianModel>| {
+            let slam = folder.restored(&config, Execution::Lockstep, model, folder.saved());
+            go_on(slam, after..FRAMES).finish()
+        };
+        let again = restored(new_model());
+        assert_eq!(poses(&again), poses(&whole));
+        assert!(again.gaussians == whole.gaussians);
+        let on_cpu = restored(cpu_model());
+        assert!(on_cpu.failure.is_none());
+        assert!(worst_position_error_m(&on_cpu, &sequence) <= 0.01);
+    }
+}
+
+#[test]
+fn a_run_on_a_device_repeats_itself_and_is_as_good_as_on_the_cpu() {
+    let Some(device) = device() else { return };
     let sequence = room(FRAMES);
     let settings = model_settings(&config().mapping);
     let new_model = || Box::new(GpuModel::new(device.clone(), &settings).unwrap());

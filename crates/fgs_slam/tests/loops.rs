@@ -8,6 +8,7 @@ mod common;
 use std::f64::consts::PI;
 
 use common::cpu_model;
+use common::saved::Folder;
 use fgs_geom::{RgbdFrame, Se3};
 use fgs_slam::{Execution, Slam, SlamConfig, SlamEvent, SlamOutput};
 use fgs_synth::{SensorModel, Sequence, kinect_camera};
@@ -39,6 +40,7 @@ fn run(
     frames: &[RgbdFrame],
     enabled: bool,
     threads: usize,
+    saved_at: impl Fn(usize) -> bool + Sync,
 ) -> (SlamOutput, usize) {
     let mut config = SlamConfig::default();
     config.mapping.iterations_per_frame = 0.1;
@@ -47,12 +49,20 @@ fn run(
     pool.build().unwrap().install(|| {
         let camera = sequence.camera();
         let mut slam = Slam::new(camera, &config, Execution::Lockstep, cpu_model()).unwrap();
-        let looker_on = slam.subscribe(1000);
-        for frame in frames {
+        slam.keep_new_keyframes();
+        let mut folder = Folder::default();
+        let mut lookers_on = vec![slam.subscribe(1000)];
+        for (i, frame) in frames.iter().enumerate() {
+            if saved_at(i) {
+                folder.save(&mut slam);
+                let saved = folder.saved();
+                slam = folder.restored(&config, Execution::Lockstep, cpu_model(), saved);
+                lookers_on.push(slam.subscribe(1000));
+            }
             slam.push(frame.clone()).unwrap();
         }
         let output = slam.finish();
-        let events = looker_on.events().iter();
+        let events = lookers_on.iter().flat_map(|looker_on| looker_on.events());
         let loops = events.filter(|event| matches!(event, SlamEvent::Loop { .. }));
         (output, loops.count())
     })
@@ -72,19 +82,23 @@ fn error_at_the_end_m(output: &SlamOutput, sequence: &Sequence) -> f64 {
 fn coming_back_takes_out_the_drift_on_any_number_of_threads() {
     let sequence = sequence();
     let frames = warming(&sequence);
-    let (open, no_loops) = run(&sequence, &frames, false, 2);
+    let (open, no_loops) = run(&sequence, &frames, false, 2, |_| false);
     let drifted = error_at_the_end_m(&open, &sequence);
     assert!(drifted >= 0.08, "{drifted} m");
     assert_eq!((open.loops, no_loops), (0, 0));
     assert_eq!(open.graph.edges().len() + 1, open.keyframes.len());
 
-    let (closed, edges) = run(&sequence, &frames, true, 2);
+    let (closed, edges) = run(&sequence, &frames, true, 2, |_| false);
     let left = error_at_the_end_m(&closed, &sequence);
     println!("{drifted} m without loops, {left} m with {}", closed.loops);
     assert!(closed.loops >= 1 && edges == 2 * closed.loops);
     assert!(left <= 0.25 * drifted, "{left} m of {drifted} m");
 
-    let (again, _) = run(&sequence, &frames, true, 1);
+    // Also where the session is saved and restored again and again: before a revisit, while it waits for
+    // another, and after both.
+    let (again, again_edges) = run(&sequence, &frames, true, 1, |i| i > ROUND / 2 && i % 3 == 0);
+    assert_eq!((again.loops, again_edges), (closed.loops, edges));
+    assert_eq!(again.graph.edges(), closed.graph.edges());
     assert!(common::poses(&again) == common::poses(&closed));
     assert!(again.gaussians == closed.gaussians);
 }

@@ -12,8 +12,8 @@ use common::{config, feed, room, session_with};
 use fgs_geom::{FrameIndex, Image, KeyframeId, RgbdFrame, Se3, View};
 use fgs_slam::{Execution, MapperError, SlamOutput, model_settings};
 use fgs_splat::{
-    CpuModel, GaussianModel, Gaussians, GpuError, ModelError, PruneRule, Rendered, Seeds, SparseId,
-    StepStats, Target,
+    CpuModel, GaussianModel, Gaussians, GpuError, ModelError, PruneRule, Rendered, SavedModel,
+    Seeds, SparseId, StepStats, Target,
 };
 use fgs_synth::Sequence;
 
@@ -96,6 +96,12 @@ impl GaussianModel for BadModel {
     }
     fn gaussians(&mut self) -> Result<Gaussians, ModelError> {
         self.model.gaussians()
+    }
+    fn save(&mut self) -> Result<SavedModel, ModelError> {
+        self.model.save()
+    }
+    fn restore(&mut self, saved: SavedModel, targets: Vec<Target>) -> Result<(), ModelError> {
+        self.model.restore(saved, targets)
     }
     fn into_gaussians(self: Box<Self>) -> Gaussians {
         Box::new(self.model).into_gaussians()

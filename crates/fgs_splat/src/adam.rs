@@ -112,9 +112,9 @@ const PLACES: usize = 16;
 
 /// A value for each parameter of a gaussian: centre, quaternion, log-scales, opacity logit and
 /// colour, then zeros.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[repr(align(64))]
-struct ByParameter([f32; PLACES]);
+pub(crate) struct ByParameter(pub(crate) [f32; PLACES]);
 
 impl ByParameter {
     #[inline(always)]
@@ -131,11 +131,11 @@ impl ByParameter {
 }
 
 /// Adam's state: first and second moments of every parameter, and each gaussian's step count.
-#[derive(Clone, Debug, Default, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Adam {
-    first: Vec<ByParameter>,
-    second: Vec<ByParameter>,
-    steps: Vec<u32>,
+    pub(crate) first: Vec<ByParameter>,
+    pub(crate) second: Vec<ByParameter>,
+    pub(crate) steps: Vec<u32>,
 }
 
 impl Adam {
@@ -147,6 +147,11 @@ impl Adam {
     /// Whether there is no state.
     pub fn is_empty(&self) -> bool {
         self.steps.is_empty()
+    }
+
+    /// Whether there is state of exactly `len` gaussians.
+    pub(crate) fn has_len(&self, len: usize) -> bool {
+        [self.first.len(), self.second.len(), self.steps.len()] == [len; 3]
     }
 
     /// Appends the state of `count` new gaussians.

@@ -15,8 +15,8 @@ use crate::model::{
 use crate::rigid_motion::{RigidMotion, by_keyframe, moved, transformed};
 use crate::visibility::VisibleSet;
 use crate::{
-    Adam, Cotangents, GaussianGradients, Gaussians, Rasterizer, Rendered, Target, photometric_loss,
-    scale_regularizer,
+    Adam, Cotangents, GaussianGradients, Gaussians, Rasterizer, Rendered, SavedModel, SavedView,
+    Target, photometric_loss, scale_regularizer,
 };
 
 /// A [`GaussianModel`] on the CPU.
@@ -215,6 +215,46 @@ impl GaussianModel for CpuModel {
 
     fn gaussians(&mut self) -> Result<Gaussians, ModelError> {
         Ok(self.gaussians.clone())
+    }
+
+    fn save(&mut self) -> Result<SavedModel, ModelError> {
+        let count = self.len();
+        let view = |(id, training): (&KeyframeId, &TrainingView)| SavedView {
+            id: *id,
+            view: training.view,
+            visible: training.visible.words(count),
+        };
+        Ok(SavedModel {
+            gaussians: self.gaussians.clone(),
+            sparse_ids: self.sparse_ids.clone(),
+            anchors: self.anchors.clone(),
+            adam: self.adam.clone(),
+            removed: self.removed.clone(),
+            views: self.views.iter().map(view).collect(),
+        })
+    }
+
+    fn restore(&mut self, saved: SavedModel, targets: Vec<Target>) -> Result<(), ModelError> {
+        saved.check(&targets)?;
+        if !(self.is_empty() && self.views.is_empty()) {
+            return Err(ModelError::Saved("the model is not empty"));
+        }
+        self.views = (saved.views.iter().zip(targets))
+            .map(|(saved, target)| {
+                let view = TrainingView {
+                    view: saved.view,
+                    target,
+                    visible: VisibleSet::from_words(&saved.visible),
+                };
+                (saved.id, view)
+            })
+            .collect();
+        self.gaussians = saved.gaussians;
+        self.sparse_ids = saved.sparse_ids;
+        self.anchors = saved.anchors;
+        self.adam = saved.adam;
+        self.removed = saved.removed;
+        Ok(())
     }
 
     fn into_gaussians(self: Box<Self>) -> Gaussians {

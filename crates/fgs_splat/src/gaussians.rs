@@ -4,6 +4,7 @@
 //! are optimised. All arrays have the same length.
 
 use nalgebra::RealField;
+use serde::{Deserialize, Serialize};
 
 /// Spherical-harmonics basis of degree 0: `rgb = 0.5 + SH0_FACTOR * sh`, = 1 / (2 sqrt(pi)).
 pub const SH0_FACTOR: f64 = 0.282_094_791_773_878_14;
@@ -16,7 +17,7 @@ const MIN_SCALE_M: f64 = 1e-12;
 
 /// N gaussians in world axes, as the parameters that are optimised. Every array has N entries. `T`
 /// is `f32`, or `f64` in tests.
-#[derive(Clone, Debug, Default, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Gaussians<T = f32> {
     /// Centres, metres, [N, 3].
     pub means: Vec<[T; 3]>,

@@ -21,6 +21,7 @@ mod ply;
 mod reference;
 mod rendering;
 mod rigid_motion;
+mod saved_model;
 mod setting;
 mod visibility;
 
@@ -35,4 +36,5 @@ pub use losses::{ImageLoss, LossError, LossSettings, Target, photometric_loss, s
 pub use model::{GaussianModel, ModelError, ModelSettings, PruneRule, Seeds, SparseId, StepStats};
 pub use ply::{PlyError, read_ply, write_ply};
 pub use rendering::{Cotangents, GaussianGradient, GaussianGradients, Rendered};
+pub use saved_model::{SavedModel, SavedView};
 pub use setting::SettingError;

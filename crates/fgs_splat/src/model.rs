@@ -5,14 +5,16 @@
 //! corrected, [`GaussianModel::move_anchored`] moves its gaussians and its view with it.
 
 use fgs_geom::{Image, KeyframeId, Se3, View};
+use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
 use crate::{
-    AdamError, Gaussians, GpuError, LearningRates, LossError, LossSettings, Rendered, Target,
+    AdamError, Gaussians, GpuError, LearningRates, LossError, LossSettings, Rendered, SavedModel,
+    Target,
 };
 
 /// The caller's identifier of a gaussian of the sparse map.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 pub struct SparseId(pub u32);
 
 /// N new gaussians.
@@ -87,6 +89,9 @@ pub enum ModelError {
     /// A seed of the sparse map has an inferred depth.
     #[error("a seed of the sparse map has an inferred depth")]
     InferredSparseSeed,
+    /// A saved state contradicts itself, or the model that it is put into is not empty.
+    #[error("a saved map cannot be taken over: {0}")]
+    Saved(&'static str),
     /// The loss cannot be computed, for example because a rendered value is out of range.
     #[error(transparent)]
     Loss(#[from] LossError),
@@ -207,6 +212,20 @@ pub trait GaussianModel: Send {
     /// # Errors
     /// If the device fails.
     fn gaussians(&mut self) -> Result<Gaussians, ModelError>;
+
+    /// All that the next calls depend on, after all submitted work, apart from the views' images.
+    ///
+    /// # Errors
+    /// If the device fails.
+    fn save(&mut self) -> Result<SavedModel, ModelError>;
+
+    /// Takes over a saved state, also of a model on another device. `targets` are the images measured
+    /// at its views, in the same order. The model must be empty.
+    ///
+    /// # Errors
+    /// [`ModelError::Saved`] if the state contradicts itself or the targets; if an image has another
+    /// size than its view; if the device fails.
+    fn restore(&mut self, saved: SavedModel, targets: Vec<Target>) -> Result<(), ModelError>;
 
     /// Memory that the model takes on a graphics device, bytes.
     fn device_bytes(&self) -> u64 {

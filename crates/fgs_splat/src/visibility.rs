@@ -31,6 +31,26 @@ impl VisibleSet {
         words[word % PAGE_WORDS] |= 1 << (index % 64);
     }
 
+    /// The set whose index i is bit `i % 32` of word `i / 32`.
+    pub(crate) fn from_words(words: &[u32]) -> Self {
+        let mut set = Self::default();
+        for (i, word) in words.iter().enumerate() {
+            for bit in (0..32).filter(|bit| word >> bit & 1 == 1) {
+                set.insert(32 * i + bit);
+            }
+        }
+        set
+    }
+
+    /// The inverse of [`from_words`](Self::from_words), for indices below `len`.
+    pub(crate) fn words(&self, len: usize) -> Vec<u32> {
+        let mut words = vec![0; len.div_ceil(32)];
+        for i in self.iter().take_while(|i| *i < len) {
+            words[i / 32] |= 1 << (i % 32);
+        }
+        words
+    }
+
     /// Number of indices in the set.
     pub(crate) fn count(&self) -> usize {
         self.count_common(self)
@@ -88,6 +108,15 @@ mod tests {
         assert_eq!(b.count_common(&a), 2);
         assert_eq!(a.iter().collect::<Vec<_>>(), [0, 63, 64, 200, 4096, 90_000]);
         assert_eq!(VisibleSet::default().iter().next(), None);
+    }
+
+    #[test]
+    fn words_give_the_set_back() {
+        let indices = [0, 31, 32, 63, 4096, 4100];
+        let words = VisibleSet::from_indices(&indices).words(4101);
+        assert_eq!((words.len(), words[0]), (129, 1 | 1 << 31));
+        let set = VisibleSet::from_words(&words);
+        assert!(set.iter().eq(indices.map(|i| i as usize)));
     }
 
     #[test]

@@ -17,6 +17,7 @@ mod verify;
 use fgs_geom::{KeyframeId, RgbdFrame};
 use fgs_gicp::DepthGrid;
 use fgs_graph::KeyframeGraph;
+use serde::{Deserialize, Serialize};
 
 use crate::color_aligner::ColorAligner;
 use crate::registrar::Registrar;
@@ -42,7 +43,7 @@ pub struct Memory<'a> {
 }
 
 /// Finds loops, keyframe by keyframe.
-#[derive(Default)]
+#[derive(Clone, Default, Serialize, Deserialize)]
 pub struct LoopCloser {
     /// Revisits that nothing has confirmed yet.
     waiting: Vec<Revisit>,

@@ -9,6 +9,7 @@ use nalgebra::{Matrix6, Vector6};
 use super::*;
 use crate::config::SlamConfig;
 use crate::keyframes::{Keyframe, KeyframeKind};
+use crate::sparse_map::SavedSparseMap;
 use crate::surface::tracking_grid;
 
 /// What a tracker would remember.
@@ -43,7 +44,7 @@ impl Remembered {
             graph: KeyframeGraph::new(),
             places: Relocalizer::default(),
             color: ColorAligner::default(),
-            map: SparseMap::new(0.03),
+            map: SparseMap::restored(0.03, SavedSparseMap::default()),
             grid: tracking_grid(&config, sequence.camera()),
             registrar: Registrar::new(&config),
         };

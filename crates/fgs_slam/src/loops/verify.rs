@@ -7,6 +7,7 @@ use fgs_gicp::{Point, PointMap, Settings, SurfacePoint, align};
 use fgs_graph::KeyframeGraph;
 use nalgebra::{Matrix6, Vector6};
 use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
 
 use super::Memory;
 use super::detect::Ways;
@@ -46,7 +47,7 @@ const MAX_CHI2: f64 = 16.8;
 const MAYBE_NEWS: f64 = 4.0;
 
 /// A place seen again.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Revisit {
     pub old: KeyframeId,
     pub new: KeyframeId,

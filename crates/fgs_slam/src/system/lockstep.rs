@@ -7,20 +7,18 @@ use std::time::Instant;
 use crossbeam_channel::never;
 use fgs_splat::Gaussians;
 
-use super::budget::Budget;
 use super::mapping::{MapperGone, Mapping, Moves};
-use super::worker::{MapperWorker, MappingOutput};
+use super::worker::{MapperWorker, MappingOutput, SavedMapping};
 use crate::keyframes::{FrameWork, Keyframe};
 
 /// The mapper, whose turn comes after each frame.
 pub struct Lockstep {
     worker: MapperWorker,
-    budget: Budget,
 }
 
 impl Lockstep {
-    pub fn new(worker: MapperWorker, budget: Budget) -> Self {
-        Self { worker, budget }
+    pub fn new(worker: MapperWorker) -> Self {
+        Self { worker }
     }
 }
 
@@ -30,7 +28,7 @@ impl Mapping for Lockstep {
     }
 
     fn after_frame(&mut self, work: Option<FrameWork>) -> Result<(), MapperGone> {
-        let steps = self.budget.next_frame();
+        let steps = self.worker.steps_of_next_frame();
         let alive = self.worker.turn(|worker| {
             if let Some(work) = work {
                 worker.take(work)?;
@@ -55,10 +53,20 @@ impl Mapping for Lockstep {
         gaussians.ok_or(MapperGone)
     }
 
+    fn save(&mut self) -> Result<SavedMapping, MapperGone> {
+        let mut saved = None;
+        // No turn: what the mapper has to report, it reports after its next, as if nothing had been.
+        self.worker.attempt(|worker| {
+            saved = Some(worker.save()?);
+            Ok(())
+        });
+        saved.ok_or(MapperGone)
+    }
+
     fn wait_until(&self, time: Instant) -> Result<(), MapperGone> {
         // Times out: on this channel nothing ever comes.
         let _ = never::<()>().recv_deadline(time);
-        Ok(())
+        (!self.worker.has_failed()).then_some(()).ok_or(MapperGone)
     }
 
     fn finish(

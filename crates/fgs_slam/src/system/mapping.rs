@@ -7,7 +7,7 @@ use std::time::Instant;
 use fgs_geom::{KeyframeId, Se3};
 use fgs_splat::Gaussians;
 
-use super::worker::MappingOutput;
+use super::worker::{MappingOutput, SavedMapping};
 use crate::keyframes::{FrameWork, Keyframe};
 
 /// The mapper cannot go on; [`Mapping::finish`] says why.
@@ -30,6 +30,9 @@ pub trait Mapping: Send {
 
     /// A copy of the map with every keyframe handed over so far.
     fn snapshot(&mut self) -> Result<Gaussians, MapperGone>;
+
+    /// All that the mapper's next turn depends on, once it has done what it was given.
+    fn save(&mut self) -> Result<SavedMapping, MapperGone>;
 
     /// Waits until a time, or until the mapper is gone.
     fn wait_until(&self, time: Instant) -> Result<(), MapperGone>;

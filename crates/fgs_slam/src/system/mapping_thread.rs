@@ -11,7 +11,7 @@ use crossbeam_channel::{Receiver, RecvTimeoutError, Sender, bounded};
 use fgs_splat::Gaussians;
 
 use super::mapping::{MapperGone, Mapping, Moves};
-use super::worker::{MapperWorker, MappingOutput};
+use super::worker::{MapperWorker, MappingOutput, SavedMapping};
 use crate::keyframes::{FrameWork, Keyframe};
 
 /// What the tracking side tells the mapper.
@@ -22,6 +22,8 @@ pub enum Message {
     Move(Moves),
     /// A copy of the map is wanted.
     Snapshot(Sender<Gaussians>),
+    /// All that the next turns depend on is wanted.
+    Save(Sender<Box<SavedMapping>>),
 }
 
 /// A mapper on its thread.
@@ -86,6 +88,10 @@ pub fn obey(worker: &mut MapperWorker, message: Message) -> bool {
             let _ = answer.send(worker.gaussians()?);
             Ok(())
         }
+        Message::Save(answer) => {
+            let _ = answer.send(Box::new(worker.save()?));
+            Ok(())
+        }
     })
 }
 
@@ -110,6 +116,12 @@ impl Mapping for MappingThread {
         let (answer, gaussians) = bounded(1);
         self.send(Message::Snapshot(answer))?;
         gaussians.recv().map_err(|_| MapperGone)
+    }
+
+    fn save(&mut self) -> Result<SavedMapping, MapperGone> {
+        let (answer, saved) = bounded(1);
+        self.send(Message::Save(answer))?;
+        saved.recv().map(|saved| *saved).map_err(|_| MapperGone)
     }
 
     fn wait_until(&self, time: Instant) -> Result<(), MapperGone> {

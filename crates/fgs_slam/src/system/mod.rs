@@ -20,23 +20,20 @@ use std::str::FromStr;
 use std::sync::Arc;
 
 use fgs_geom::Camera;
-use fgs_splat::GaussianModel;
 use rayon::ThreadPool;
 use serde::{Deserialize, Serialize};
 
 use crate::config::SlamConfig;
 use crate::event::EventHub;
-use crate::mapper::Mapper;
 use crate::prepare::KeyframePreparer;
-use budget::Budget;
 use preparation::Preparation;
-use worker::MapperWorker;
+use worker::{MapperWorker, Ready};
 
 pub use drive::drive;
 pub use live::live;
 pub(crate) use mapping::{MapperGone, Mapping, Moves};
 pub use replay::replay;
-pub(crate) use worker::MapStatus;
+pub(crate) use worker::{MapReport, MapStatus, SavedMapping};
 
 /// How tracker and mapper take turns.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -82,26 +79,30 @@ impl FromStr for Execution {
 #[error("'{0}' is none of lockstep, parallel, realtime")]
 pub struct UnknownExecution(String);
 
-/// Starts the mapping side of a session, and the tracker's own threads if it has any.
+/// Starts the mapping side of a session with what it knows, and the tracker's own threads if it has any.
 pub(crate) fn start(
     camera: &Camera,
     config: &SlamConfig,
     execution: Execution,
-    model: Box<dyn GaussianModel>,
+    ready: Ready,
     status: &Arc<MapStatus>,
     events: &EventHub,
 ) -> io::Result<(Box<dyn Mapping>, Option<ThreadPool>)> {
     let preparer = KeyframePreparer::new(camera, config);
-    let budget = Budget::new(config.mapping.iterations_per_frame);
     let preparation = match execution {
         Execution::Lockstep => Preparation::in_turn(preparer),
         Execution::Parallel | Execution::Realtime => Preparation::on_thread(preparer)?,
     };
-    let mapper = Mapper::new(model, config);
-    let worker = MapperWorker::new(mapper, preparation, Arc::clone(status), events.clone());
+    let worker = MapperWorker::new(
+        config,
+        ready,
+        preparation,
+        Arc::clone(status),
+        events.clone(),
+    );
     Ok(match execution {
-        Execution::Lockstep => (Box::new(lockstep::Lockstep::new(worker, budget)), None),
-        Execution::Parallel => (Box::new(parallel::start(worker, budget)?), None),
+        Execution::Lockstep => (Box::new(lockstep::Lockstep::new(worker)), None),
+        Execution::Parallel => (Box::new(parallel::start(worker)?), None),
         Execution::Realtime => (
             Box::new(realtime::start(worker)?),
             Some(realtime::tracker_pool()?),

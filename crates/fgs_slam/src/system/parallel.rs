@@ -3,7 +3,6 @@
 
 use std::io;
 
-use super::budget::Budget;
 use super::mapping_thread::{MappingThread, Message, Policy, obey};
 use super::worker::MapperWorker;
 
@@ -15,15 +14,15 @@ const MAX_FRAMES_AHEAD: usize = 10;
 ///
 /// # Errors
 /// If it does not start.
-pub fn start(worker: MapperWorker, mut budget: Budget) -> io::Result<MappingThread> {
+pub fn start(worker: MapperWorker) -> io::Result<MappingThread> {
     MappingThread::start(
         worker,
         Policy::EveryFrame,
         MAX_FRAMES_AHEAD,
-        move |worker, messages| {
+        |worker, messages| {
             for message in messages {
                 let steps = match message {
-                    Message::Frame(_) => budget.next_frame(),
+                    Message::Frame(_) => worker.steps_of_next_frame(),
                     _ => 0,
                 };
                 let alive = obey(worker, message)

@@ -57,7 +57,7 @@ fn optimize_all_the_while(worker: &mut MapperWorker, messages: &Receiver<Message
         let message = if worker.is_preparing() {
             // The next one must wait for this anyway.
             Err(TryRecvError::Empty)
-        } else if worker.has_views() {
+        } else if worker.can_optimize() {
             messages.try_recv()
         } else {
             messages.recv().map_err(|_| TryRecvError::Disconnected)

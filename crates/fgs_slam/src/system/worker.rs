@@ -7,13 +7,16 @@ use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
-use fgs_geom::{FrameIndex, KeyframeId, Se3};
-use fgs_splat::{Gaussians, SparseId};
+use fgs_geom::{Camera, FrameIndex, KeyframeId, Se3};
+use fgs_splat::{GaussianModel, Gaussians, ModelError, SavedModel, SparseId, Target};
+use serde::{Deserialize, Serialize};
 
+use super::budget::Budget;
 use super::preparation::Preparation;
+use crate::config::SlamConfig;
 use crate::event::{EventHub, SlamEvent};
 use crate::keyframes::{FrameWork, Keyframe};
-use crate::mapper::{Mapper, MapperError};
+use crate::mapper::{Mapper, MapperError, MapperState};
 use crate::refinement::RefinedMap;
 
 /// What the mapper tells the tracking side. Bounded by the size of the map.
@@ -26,7 +29,41 @@ pub struct MapStatus {
     aligned: Mutex<Vec<(FrameIndex, Se3)>>,
 }
 
+/// What the tracking side has not heard yet, as plain data.
+#[derive(Default, Serialize, Deserialize)]
+pub struct MapReport {
+    removed: Vec<SparseId>,
+    moved: Vec<(KeyframeId, Se3)>,
+    aligned: Vec<(FrameIndex, Se3)>,
+}
+
+impl MapReport {
+    /// Frames are none of this session's.
+    pub fn forget_frames(&mut self) {
+        self.aligned.clear();
+    }
+}
+
 impl MapStatus {
+    /// Nothing has happened since a report.
+    pub fn restored(report: MapReport) -> Self {
+        Self {
+            removed: report.removed.into(),
+            moved: report.moved.into(),
+            aligned: report.aligned.into(),
+            ..Self::default()
+        }
+    }
+
+    /// What has been reported and not been taken.
+    pub fn save(&self) -> MapReport {
+        MapReport {
+            removed: lock(&self.removed).clone(),
+            moved: lock(&self.moved).clone(),
+            aligned: lock(&self.aligned).clone(),
+        }
+    }
+
     /// Gaussians in the map.
     pub fn num_gaussians(&self) -> usize {
         self.num_gaussians.load(Ordering::Relaxed)
@@ -59,9 +96,86 @@ fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
+/// All that the mapping side knows, as plain data, apart from keyframes' images.
+#[derive(Serialize, Deserialize)]
+pub struct SavedMapping {
+    model: SavedModel,
+    mapper: MapperState,
+    budget: Budget,
+    busy: Duration,
+    is_frozen: bool,
+}
+
+/// A map that is in its model, and what else the mapping side knows.
+pub struct Ready {
+    model: Box<dyn GaussianModel>,
+    mapper: MapperState,
+    budget: Budget,
+    busy: Duration,
+    is_frozen: bool,
+}
+
+impl SavedMapping {
+    /// Of an empty map.
+    pub fn new(seed: u64) -> Self {
+        Self {
+            model: SavedModel::default(),
+            mapper: MapperState::new(seed),
+            budget: Budget::default(),
+            busy: Duration::ZERO,
+            is_frozen: false,
+        }
+    }
+
+    /// The keyframes whose images the map is optimised with.
+    pub fn views(&self) -> impl Iterator<Item = KeyframeId> {
+        self.model.views.iter().map(|view| view.id)
+    }
+
+    /// Whether every view is of one camera.
+    pub fn is_of(&self, camera: &Camera) -> bool {
+        let mut views = self.model.views.iter();
+        views.all(|saved| saved.view.camera == *camera)
+    }
+
+    /// What was counted begins anew.
+    pub fn forget_counts(&mut self) {
+        self.mapper.forget_counts();
+        (self.budget, self.busy) = (Budget::default(), Duration::ZERO);
+    }
+
+    /// The map stays as it is from now on.
+    pub fn freeze(&mut self) {
+        self.is_frozen = true;
+    }
+
+    /// Puts the map into an empty model; `targets` are the images of its [`views`](Self::views).
+    ///
+    /// # Errors
+    /// If the map contradicts itself or the images, or the model fails.
+    pub fn put_into(
+        self,
+        mut model: Box<dyn GaussianModel>,
+        targets: Vec<Target>,
+    ) -> Result<Ready, ModelError> {
+        model.restore(self.model, targets)?;
+        Ok(Ready {
+            model,
+            mapper: self.mapper,
+            budget: self.budget,
+            busy: self.busy,
+            is_frozen: self.is_frozen,
+        })
+    }
+}
+
 /// The mapper and what it works off.
 pub struct MapperWorker {
     mapper: Mapper,
+    steps_per_frame: f64,
+    budget: Budget,
+    /// Whether the map stays as it is.
+    is_frozen: bool,
     preparation: Preparation,
     status: Arc<MapStatus>,
     events: EventHub,
@@ -98,17 +212,21 @@ impl MappingOutput {
 
 impl MapperWorker {
     pub fn new(
-        mapper: Mapper,
+        config: &SlamConfig,
+        ready: Ready,
         preparation: Preparation,
         status: Arc<MapStatus>,
         events: EventHub,
     ) -> Self {
         Self {
-            mapper,
+            mapper: Mapper::restored(ready.model, config, ready.mapper),
+            steps_per_frame: config.mapping.iterations_per_frame,
+            budget: ready.budget,
+            is_frozen: ready.is_frozen,
             preparation,
             status,
             events,
-            busy: Duration::ZERO,
+            busy: ready.busy,
             failure: None,
         }
     }
@@ -116,16 +234,44 @@ impl MapperWorker {
     /// Lets the mapper work and reports what became of the map. `false` once the mapper cannot go
     /// on: it has failed or panicked, now or before.
     pub fn turn(&mut self, work: impl FnOnce(&mut Self) -> Result<(), MapperError>) -> bool {
+        let start = Instant::now();
+        let alive = self.attempt(|worker| work(worker).and_then(|()| worker.report()));
+        self.busy += start.elapsed();
+        alive
+    }
+
+    /// As [`turn`](Self::turn), but reports nothing.
+    pub fn attempt(&mut self, work: impl FnOnce(&mut Self) -> Result<(), MapperError>) -> bool {
         if self.failure.is_some() {
             return false;
         }
-        let start = Instant::now();
-        let work = AssertUnwindSafe(|| work(self).and_then(|()| self.report()));
-        let done = catch_unwind(work)
+        let done = catch_unwind(AssertUnwindSafe(|| work(self)))
             .unwrap_or_else(|panic| Err(MapperError::Panicked(panic_message(&*panic))));
-        self.busy += start.elapsed();
         self.failure = done.err();
         self.failure.is_none()
+    }
+
+    /// Whether the mapper cannot go on.
+    pub fn has_failed(&self) -> bool {
+        self.failure.is_some()
+    }
+
+    /// All that the next turns depend on, once the keyframe that is being prepared has joined.
+    pub fn save(&mut self) -> Result<SavedMapping, MapperError> {
+        self.settle()?;
+        let (model, mapper) = self.mapper.save()?;
+        Ok(SavedMapping {
+            model,
+            mapper,
+            budget: self.budget.clone(),
+            busy: self.busy,
+            is_frozen: self.is_frozen,
+        })
+    }
+
+    /// Optimisation steps that are due after one more frame.
+    pub fn steps_of_next_frame(&mut self) -> usize {
+        self.budget.next_frame(self.steps_per_frame)
     }
 
     /// Takes on what a frame gives to do.
@@ -167,6 +313,9 @@ impl MapperWorker {
     /// One optimisation step; before it, a keyframe that is ready joins the map. The first keyframe
     /// is waited for: without it there is nothing to optimise.
     pub fn step(&mut self) -> Result<(), MapperError> {
+        if self.is_frozen {
+            return Ok(());
+        }
         if !self.mapper.has_views() {
             self.settle()?;
         } else if let Some(prepared) = self.preparation.poll()? {
@@ -175,9 +324,9 @@ impl MapperWorker {
         self.mapper.step()
     }
 
-    /// Whether there is a keyframe to optimise.
-    pub fn has_views(&self) -> bool {
-        self.mapper.has_views()
+    /// Whether there is a keyframe to optimise, and the map may change.
+    pub fn can_optimize(&self) -> bool {
+        self.mapper.has_views() && !self.is_frozen
     }
 
     /// Moves the map with its keyframes.
@@ -207,7 +356,7 @@ impl MapperWorker {
     /// failure the map is what is known of it, after a panic perhaps nothing.
     pub fn finish(mut self, refine_steps: usize, stop: &AtomicBool) -> MappingOutput {
         let mut recorded = None;
-        if refine_steps > 0 && self.has_views() {
+        if refine_steps > 0 && self.can_optimize() {
             self.turn(|worker| {
                 recorded = Some(worker.gaussians()?);
                 Ok(())

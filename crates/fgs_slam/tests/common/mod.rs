@@ -2,6 +2,8 @@
 
 #![allow(clippy::unwrap_used, dead_code)]
 
+pub mod saved;
+
 use std::sync::atomic::AtomicBool;
 
 use fgs_geom::{Image, RgbdFrame, Se3, View};

@@ -4,7 +4,7 @@ use fgs_geom::{Camera, Image, Intrinsics, KeyframeId, Se3};
 use nalgebra::Vector6;
 
 use super::*;
-use crate::Gaussian;
+use crate::{Gaussian, SavedModel};
 
 const W: usize = 33;
 const H: usize = 24;
@@ -191,4 +191,68 @@ fn an_empty_map_is_black_and_can_be_stepped() {
     let rendered = model.render(&view(0.0)).unwrap();
     assert!(rendered.color.data().iter().all(|rgb| *rgb == [0.0; 3]));
     assert!(model.is_empty());
+}
+
+#[test]
+fn a_saved_model_goes_on_to_the_last_bit() {
+    let mut model = model();
+    let other = KeyframeId(9);
+    model.add_view(KEYFRAME, view(0.0), target()).unwrap();
+    model.add_view(other, view(0.3), target()).unwrap();
+    let rule = PruneRule {
+        min_opacity: 0.85,
+        max_scale_m: 1.0,
+        max_aspect: 10.0,
+    };
+    for _ in 0..20 {
+        model.step(KEYFRAME).unwrap();
+    }
+    model.prune(&rule).unwrap();
+    let saved = model.save().unwrap();
+    assert!(
+        !saved.removed.is_empty(),
+        "the rule prunes some of the sparse map"
+    );
+    let mut again = CpuModel::default();
+    again
+        .restore(saved.clone(), vec![target(), target()])
+        .unwrap();
+    assert_eq!(again.save().unwrap(), saved);
+    for model in [&mut model, &mut again] {
+        model.step(other).unwrap();
+        let motion = Se3::exp(&Vector6::new(0.1, 0.2, 0.0, 0.0, 0.3, 0.1));
+        model.move_anchored(&[(KEYFRAME, motion)]).unwrap();
+        model.step(KEYFRAME).unwrap();
+    }
+    assert_eq!(again.covisibility(other), model.covisibility(other));
+    assert_eq!(again.take_removed(), model.take_removed());
+    assert_eq!(again.save(), model.save());
+}
+
+#[test]
+fn what_no_model_saved_is_refused() {
+    let mut model = model();
+    model.add_view(KEYFRAME, view(0.0), target()).unwrap();
+    let whole = model.save().unwrap();
+    let refused = |change: fn(&mut SavedModel), targets: usize| {
+        let mut saved = whole.clone();
+        change(&mut saved);
+        let restored = CpuModel::default().restore(saved, vec![target(); targets]);
+        restored.is_err()
+    };
+    assert!(!refused(|_| (), 1));
+    assert!(refused(|_| (), 0));
+    assert!(refused(|saved| saved.gaussians.sh.truncate(1), 1));
+    assert!(refused(|saved| saved.anchors.truncate(1), 1));
+    assert!(refused(|saved| saved.adam.extend(1), 1));
+    assert!(refused(|saved| saved.views[0].visible.truncate(1), 1));
+    assert!(refused(
+        |saved| *saved.views[0].visible.last_mut().unwrap() = u32::MAX,
+        1
+    ));
+    assert!(refused(|saved| saved.views[0].view.camera.width += 1, 1));
+    assert!(refused(|saved| saved.views.push(saved.views[0].clone()), 2));
+    assert!(refused(|saved| saved.gaussians.inferred[0] = true, 1));
+    let full = model.restore(whole.clone(), vec![target()]);
+    assert!(matches!(full, Err(ModelError::Saved(_))));
 }

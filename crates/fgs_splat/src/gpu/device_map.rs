@@ -9,15 +9,16 @@ use fgs_geom::{Image, KeyframeId, View};
 use super::buffers::Buffers;
 use super::device::GpuDevice;
 use super::layout::{self, Count, Gaussian, INFERRED, NONE};
-use super::parameters::{from_device, to_device};
+use super::parameters::{
+    from_device, moments_from_device, moments_to_device, sparse_ids_from_device, to_device,
+};
 use super::passes::{groups, view_uniform, workgroups};
 use super::readback::{Arrival, Landing, read};
 use super::recorder::{Groups, Recorder};
 use super::timer::StageTimer;
-use crate::Gaussians;
-use crate::GpuError;
 use crate::adam::Corrections;
 use crate::model::{ModelSettings, PruneRule, Seeds, SparseId};
+use crate::{Adam, Gaussians, GpuError, SavedModel};
 
 /// Gaussians on a device.
 pub struct DeviceMap {
@@ -267,9 +268,65 @@ impl DeviceMap {
     /// # Errors
     /// If the device fails.
     pub fn gaussians(&self) -> Result<Gaussians, GpuError> {
-        let buffer = self.buffers.get("gaussians")?;
-        let rows: Vec<Gaussian> = read(&self.device, buffer, 0, self.count)?;
-        Ok(from_device(&rows))
+        Ok(from_device(&self.read_all::<Gaussian>("gaussians")?))
+    }
+
+    /// Waits for the device and reads back the gaussians with all their state; there are no views in
+    /// what is returned.
+    ///
+    /// # Errors
+    /// If the device fails.
+    pub fn save(&self) -> Result<SavedModel, GpuError> {
+        let rows: Vec<Gaussian> = self.read_all("gaussians")?;
+        let anchors: Vec<u32> = self.read_all("anchors")?;
+        let moments = |name| -> Result<Vec<_>, GpuError> {
+            let rows: Vec<[f32; 16]> = self.read_all(name)?;
+            Ok(rows.iter().map(moments_from_device).collect())
+        };
+        Ok(SavedModel {
+            gaussians: from_device(&rows),
+            sparse_ids: sparse_ids_from_device(&rows),
+            anchors: anchors.into_iter().map(KeyframeId).collect(),
+            adam: Adam {
+                first: moments("first_moments")?,
+                second: moments("second_moments")?,
+                steps: rows.iter().map(|row| row.steps).collect(),
+            },
+            ..SavedModel::default()
+        })
+    }
+
+    /// Puts saved gaussians into an empty map. Nothing may be in flight.
+    ///
+    /// # Errors
+    /// If the device fails or is out of memory.
+    pub fn restore(&mut self, saved: &SavedModel) -> Result<(), GpuError> {
+        let count = saved.sparse_ids.len();
+        self.buffers.make_room_for_gaussians(count, 0)?;
+        let mut rows = to_device(&Seeds {
+            gaussians: saved.gaussians.clone(),
+            sparse_ids: saved.sparse_ids.clone(),
+        });
+        for (row, steps) in rows.iter_mut().zip(&saved.adam.steps) {
+            row.steps = *steps;
+        }
+        let anchors: Vec<u32> = saved.anchors.iter().map(|anchor| anchor.0).collect();
+        self.write("gaussians", bytemuck::cast_slice(&rows))?;
+        self.write("anchors", bytemuck::cast_slice(&anchors))?;
+        for (name, moments) in [
+            ("first_moments", &saved.adam.first),
+            ("second_moments", &saved.adam.second),
+        ] {
+            let rows: Vec<[f32; 16]> = moments.iter().map(moments_to_device).collect();
+            self.write(name, bytemuck::cast_slice(&rows))?;
+        }
+        self.count = count;
+        self.device.check()
+    }
+
+    /// Waits for the device and reads back an entry for each gaussian.
+    fn read_all<T: bytemuck::Pod>(&self, name: &str) -> Result<Vec<T>, GpuError> {
+        read(&self.device, self.buffers.get(name)?, 0, self.count)
     }
 
     /// Zeroes the counts, and with them the overflow and out-of-range flags that void all later work.

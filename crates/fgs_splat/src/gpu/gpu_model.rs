@@ -20,7 +20,7 @@ use crate::model::{
     check_seeds, check_view,
 };
 use crate::rigid_motion::by_keyframe;
-use crate::{Gaussians, Rendered, Target};
+use crate::{Gaussians, Rendered, SavedModel, SavedView, Target};
 
 /// Initial capacity of the tile lists, entries.
 const FIRST_ENTRIES: usize = 1 << 18;
@@ -240,6 +240,52 @@ impl GaussianModel for GpuModel {
     fn gaussians(&mut self) -> Result<Gaussians, ModelError> {
         self.work.finish()?;
         Ok(self.work.map.gaussians()?)
+    }
+
+    fn save(&mut self) -> Result<SavedModel, ModelError> {
+        self.work.finish()?;
+        let map = &self.work.map;
+        let sets = map.buffers.get("visible_sets")?;
+        let (set_words, used_words) = (map.buffers.set_words(), map.len().div_ceil(32));
+        let views = self.work.views.iter().map(|(id, training)| {
+            let first = training.set as usize * set_words;
+            let mut visible: Vec<u32> = read(map.device(), sets, first, used_words)?;
+            if let (Some(last), used @ 1..) = (visible.last_mut(), map.len() % 32) {
+                // Pruned gaussians may have left their bits.
+                *last &= (1 << used) - 1;
+            }
+            Ok(SavedView {
+                id,
+                view: training.view,
+                visible,
+            })
+        });
+        Ok(SavedModel {
+            removed: self.work.removed.clone(),
+            views: views.collect::<Result<_, GpuError>>()?,
+            ..map.save()?
+        })
+    }
+
+    fn restore(&mut self, saved: SavedModel, targets: Vec<Target>) -> Result<(), ModelError> {
+        saved.check(&targets)?;
+        if !(self.is_empty() && self.work.views.iter().next().is_none()) {
+            return Err(ModelError::Saved("the model is not empty"));
+        }
+        let (map, views) = (&mut self.work.map, &mut self.work.views);
+        map.restore(&saved)?;
+        for (saved, target) in saved.views.iter().zip(targets) {
+            views.add(&mut map.buffers, saved.id, saved.view, target)?;
+            let first = views.get(saved.id)?.set as usize * map.buffers.set_words();
+            let sets = map.buffers.get("visible_sets")?;
+            let bytes = bytemuck::cast_slice(&saved.visible);
+            let queue = map.device().queue();
+            queue.write_buffer(sets, (size_of::<u32>() * first) as u64, bytes);
+        }
+        map.device().check()?;
+        self.work.removed = saved.removed;
+        self.work.last_known = saved.gaussians;
+        Ok(())
     }
 
     fn device_bytes(&self) -> u64 {

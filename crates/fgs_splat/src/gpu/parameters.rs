@@ -5,8 +5,9 @@ use std::collections::BTreeMap;
 use fgs_geom::{KeyframeId, Se3};
 
 use super::layout::{Gaussian, INFERRED, Motion, NONE};
+use crate::adam::ByParameter;
 use crate::rigid_motion::RigidMotion;
-use crate::{Gaussians, Seeds};
+use crate::{Gaussians, Seeds, SparseId};
 
 /// New gaussians, with a step count of zero.
 pub fn to_device(seeds: &Seeds) -> Vec<Gaussian> {
@@ -38,6 +39,30 @@ pub fn from_device(rows: &[Gaussian]) -> Gaussians {
         sh: rows.iter().map(|row| row.sh).collect(),
         inferred: rows.iter().map(|row| row.sparse_id == INFERRED).collect(),
     }
+}
+
+/// The ids of those of the device's gaussians that are part of the sparse map.
+pub fn sparse_ids_from_device(rows: &[Gaussian]) -> Vec<Option<SparseId>> {
+    let id = |row: &Gaussian| {
+        (![NONE, INFERRED].contains(&row.sparse_id)).then_some(SparseId(row.sparse_id))
+    };
+    rows.iter().map(id).collect()
+}
+
+/// Adam's moments in the order of the device's gradients.
+pub fn moments_to_device(moments: &ByParameter) -> [f32; 16] {
+    let [x, y, z, qw, qx, qy, qz, s0, s1, s2, opacity, r, g, b, ..] = moments.0;
+    [
+        x, y, z, opacity, qw, qx, qy, qz, s0, s1, s2, 0.0, r, g, b, 0.0,
+    ]
+}
+
+/// The inverse of [`moments_to_device`].
+pub fn moments_from_device(moments: &[f32; 16]) -> ByParameter {
+    let [x, y, z, opacity, qw, qx, qy, qz, s0, s1, s2, _, r, g, b, _] = *moments;
+    ByParameter([
+        x, y, z, qw, qx, qy, qz, s0, s1, s2, opacity, r, g, b, 0.0, 0.0,
+    ])
 }
 
 /// Motions for the device, sorted by anchor.

@@ -741,3 +741,39 @@ fn refusals_are_the_cpus() {
     ragged.sparse_ids.pop();
     assert_eq!(gpu.insert(&ragged, IDS[0]), Err(ModelError::RaggedSeeds));
 }
+
+/// Also with work in flight, and by way of the CPU.
+#[test]
+fn a_saved_model_goes_on_to_the_last_bit() {
+    let Some((world, mut gpu, mut cpu)) = models(2000, &ModelSettings::default()) else {
+        return;
+    };
+    fill(&mut gpu, &world);
+    work(&mut gpu, &world);
+    gpu.prune(&RULE).unwrap();
+    gpu.step(IDS[0]).unwrap();
+    let saved = gpu.save().unwrap();
+    assert!(!saved.removed.is_empty() && !saved.sparse_ids.is_empty());
+    assert!(saved.adam.steps.iter().any(|steps| *steps > 5));
+
+    let targets = || {
+        world
+            .views
+            .iter()
+            .map(|(_, target)| target.clone())
+            .collect()
+    };
+    cpu.restore(saved.clone(), targets()).unwrap();
+    let saved_by_cpu = cpu.save().unwrap();
+    assert!(saved_by_cpu == saved);
+    let mut again = GpuModel::new(device().unwrap(), &ModelSettings::default()).unwrap();
+    again.restore(saved_by_cpu, targets()).unwrap();
+    assert!(again.save().unwrap() == saved);
+    for model in [&mut gpu, &mut again] {
+        model.move_anchored(&[(IDS[1], motion())]).unwrap();
+        work(model, &world);
+    }
+    assert_eq!(again.covisibility(IDS[1]), gpu.covisibility(IDS[1]));
+    assert_eq!(again.take_removed(), gpu.take_removed());
+    assert!(again.save().unwrap() == gpu.save().unwrap());
+}

@@ -1,0 +1,126 @@
+//! A session between two frames, as plain data. What can be made again from keyframes' images to the
+//! last bit is not in it, nor are those images: whoever saves a session keeps them, each once.
+
+use std::time::Duration;
+
+use fgs_geom::{Camera, FrameIndex, KeyframeId, RgbdFrame, Se3};
+use fgs_graph::KeyframeGraph;
+use serde::{Deserialize, Serialize};
+
+use crate::frame_result::FrameResult;
+use crate::holdout::Holdout;
+use crate::keyframes::KeyframeKind;
+use crate::loops::LoopCloser;
+use crate::system::{MapReport, SavedMapping};
+use crate::tracker::SavedTracker;
+
+/// Everything that the next frame's result depends on, apart from settings and keyframes' images. With
+/// serde it can be written in any format that keeps every bit of a number.
+#[derive(Serialize, Deserialize)]
+pub struct SavedSession {
+    pub(crate) camera: Camera,
+    pub(crate) tracker: SavedTracker,
+    pub(crate) mapping: SavedMapping,
+    pub(crate) report: MapReport,
+    pub(crate) graph: KeyframeGraph,
+    pub(crate) loops: LoopCloser,
+    pub(crate) closed_loops: usize,
+    pub(crate) keyframes: Vec<(KeyframeId, KeyframeKind, FrameIndex)>,
+    pub(crate) frames: Vec<RecordedFrame>,
+    pub(crate) first: FrameIndex,
+    pub(crate) holdout: Option<Holdout>,
+    pub(crate) localizes_only: bool,
+    pub(crate) elapsed: Duration,
+}
+
+/// A frame's result. Its pose is relative to a keyframe, so that it follows corrections.
+#[derive(Clone, Serialize, Deserialize)]
+pub(crate) struct RecordedFrame {
+    pub result: FrameResult,
+    /// The keyframe, and `keyframe_from_camera`.
+    pub pose: Option<(KeyframeId, Se3)>,
+}
+
+impl SavedSession {
+    /// Of a session that has seen nothing.
+    pub(crate) fn new(camera: &Camera, seed: u64) -> Self {
+        Self {
+            camera: *camera,
+            tracker: SavedTracker::default(),
+            mapping: SavedMapping::new(seed),
+            report: MapReport::default(),
+            graph: KeyframeGraph::new(),
+            loops: LoopCloser::default(),
+            closed_loops: 0,
+            keyframes: Vec::new(),
+            frames: Vec::new(),
+            first: FrameIndex(0),
+            holdout: None,
+            localizes_only: false,
+            elapsed: Duration::ZERO,
+        }
+    }
+
+    /// The camera.
+    pub fn camera(&self) -> &Camera {
+        &self.camera
+    }
+
+    /// The keyframes, whose images a session needs to go on, in their order.
+    pub fn keyframes(&self) -> impl ExactSizeIterator<Item = KeyframeId> {
+        self.keyframes.iter().map(|(id, ..)| *id)
+    }
+
+    /// What became of the last frame; `None` if there was none.
+    pub fn last_frame(&self) -> Option<&FrameResult> {
+        self.frames.last().map(|frame| &frame.result)
+    }
+
+    /// The frame to go on with.
+    pub fn next_frame(&self) -> FrameIndex {
+        let next = |last: &FrameResult| FrameIndex(last.index.0 + 1);
+        self.last_frame().map_or(self.first, next)
+    }
+
+    /// The start of another session in the same place: the map stays, frames and motion are forgotten,
+    /// and the camera is lost. It is found by what keyframes look like, and extends the map from there.
+    #[must_use]
+    pub fn into_map(mut self) -> Self {
+        self.tracker.lose();
+        self.mapping.forget_counts();
+        self.report.forget_frames();
+        Self {
+            closed_loops: 0,
+            frames: Vec::new(),
+            first: FrameIndex(0),
+            holdout: None,
+            elapsed: Duration::ZERO,
+            ..self
+        }
+    }
+
+    /// The same, but the map stays as it is: frames are tracked, and none becomes a keyframe.
+    #[must_use]
+    pub fn localizing_only(mut self) -> Self {
+        self.mapping.freeze();
+        Self {
+            localizes_only: true,
+            ..self
+        }
+    }
+
+    /// Whether it can be the state of a session: names of keyframes agree, and what has images or
+    /// cameras has those of this one.
+    pub(crate) fn is_consistent(&self) -> bool {
+        let frame_is_sound =
+            |frame: &RgbdFrame| frame.camera == self.camera && frame.check().is_ok();
+        self.keyframes.is_sorted_by(|(a, ..), (b, ..)| a < b)
+            && self.keyframes().eq(self.graph.poses().map(|(id, _)| id))
+            && self.tracker.is_of(&self.camera)
+            && self.tracker.frames().all(frame_is_sound)
+            && self.mapping.is_of(&self.camera)
+            && self.mapping.views().is_sorted_by(|a, b| a < b)
+            && (self.mapping.views()).all(|id| self.graph.pose(id).is_some())
+            && (self.frames.iter()).all(|frame| frame.result.index.0 < usize::MAX)
+    }
+}
