@@ -53,12 +53,13 @@ def table(rows):
     head = [f"| variant (figures: {', '.join(recordings)}) | PSNR valid, dB | mean | with exposure, dB | PSNR all, dB | SSIM | ATE, cm | lost | gaussians, thousands |", "|---" * 9 + "|"]
     lines = []
     for variant in VARIANTS:
-        cells = [found[recording, variant] for recording in recordings if (recording, variant) in found]
-        if len(cells) < len(recordings):
+        cells = [found.get((recording, variant), {}) for recording in recordings]
+        if not any(cells):
             continue
-        figures = lambda key, form, scale=1.0: " / ".join(form.format(scale * float(cell.get(key) or "nan")) for cell in cells)
-        mean = sum(float(cell["psnr_valid_depth_db"]) for cell in cells) / len(cells)
-        columns = [variant, figures("psnr_valid_depth_db", "{:.2f}"), f"{mean:.2f}", figures("psnr_exposure_valid_depth_db", "{:.2f}"),
+        figure = lambda cell, key, form, scale: form.format(scale * float(cell[key])) if cell.get(key) not in (None, "") else "-"
+        figures = lambda key, form, scale=1.0: " / ".join(figure(cell, key, form, scale) for cell in cells)
+        mean = f'{sum(float(cell["psnr_valid_depth_db"]) for cell in cells) / len(cells):.2f}' if all(cells) else "-"
+        columns = [variant, figures("psnr_valid_depth_db", "{:.2f}"), mean, figures("psnr_exposure_valid_depth_db", "{:.2f}"),
                    figures("psnr_db", "{:.2f}"), figures("ssim", "{:.3f}"), figures("ate_rmse_m", "{:.4f}", 100), figures("frames_lost", "{:.0f}"), figures("num_gaussians", "{:.0f}", 1e-3)]
         lines.append("| " + " | ".join(columns) + " |")
     return "\n".join(head + lines)
