@@ -1,7 +1,7 @@
 //! Output: text and progress bars for people, or one JSON object per line for machines.
 //!
-//! Results go to stdout, progress and warnings to stderr. That stdout's reader has gone away does not
-//! end the work.
+//! Results go to stdout, progress and warnings to stderr. That the reader of either has gone away does
+//! not end the work.
 
 use std::fmt::Display;
 use std::io::Write;
@@ -83,15 +83,20 @@ impl Warnings {
     pub fn warn(&mut self, bar: &ProgressBar, message: impl Display) {
         self.count += 1;
         if self.count <= MAX_WARNINGS {
-            bar.suspend(|| eprintln!("warning: {message}"));
+            bar.suspend(|| complain(format_args!("warning: {message}")));
         }
         if self.count == MAX_WARNINGS {
-            bar.suspend(|| eprintln!("warning: further warnings like this are only counted"));
+            bar.suspend(|| complain("warning: further warnings like this are only counted"));
         }
     }
 }
 
+/// Prints a line to stderr.
+pub fn complain(text: impl Display) {
+    // `eprintln!` would panic where nobody reads, and take the run with it; lints forbid it.
+    let _ = writeln!(std::io::stderr().lock(), "{text}");
+}
+
 fn print_line(text: impl Display) {
-    // `println!` would panic on a closed pipe and take the run with it.
     let _ = writeln!(std::io::stdout().lock(), "{text}");
 }

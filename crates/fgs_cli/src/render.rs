@@ -1,18 +1,21 @@
 //! `fgs render`: pictures of a map, from the camera's poses or along a smooth path.
 
+use std::io;
 use std::path::{Path, PathBuf};
+use std::sync::atomic::Ordering;
 
 use anyhow::Context;
 use clap::Args;
 use fgs_data::Trajectory;
 use fgs_geom::{Camera, CameraError, Intrinsics, Se3, View};
-use fgs_run::{CONFIG, MAP, RunFolder, Settings, TRAJECTORY, png_bytes, write_png};
+use fgs_run::{CONFIG, MAP, OutputFolder, RunError, Settings, TRAJECTORY, png_bytes, write_png};
 use fgs_splat::Rasterizer;
 
 use crate::console::Console;
-use crate::failure::{EXIT_DONE, UsageError};
+use crate::failure::{EXIT_DONE, EXIT_INTERRUPTED, UsageError};
 use crate::fly_through::fly_through;
 use crate::image_size::ImageSize;
+use crate::interrupt;
 use crate::threads::Threads;
 
 /// Field of view for maps without a camera, degrees: about that of a depth sensor.
@@ -85,8 +88,10 @@ pub fn run(args: &RenderArgs) -> anyhow::Result<u8> {
     } else {
         "views"
     });
-    let out = RunFolder::create(args.out.as_ref().unwrap_or(&default_out))?;
+    let out = OutputFolder::claim(args.out.as_ref().unwrap_or(&default_out));
+    let out = out.map_err(RunError::from)?;
     args.threads.apply()?;
+    let stop = interrupt::stop_flag()?;
 
     let poses: Vec<Se3> = trajectory
         .poses()
@@ -100,20 +105,43 @@ pub fn run(args: &RenderArgs) -> anyhow::Result<u8> {
         spread(&poses, views)
     };
     let bar = Console::People.progress(path.len(), "views");
+    let pictures = out
+        .begin()
+        .map_err(|error| cannot_write(out.path(), error))?;
     let mut rasterizer = Rasterizer::default();
+    let mut count = 0;
     for (i, pose) in path.iter().enumerate() {
+        if stop.load(Ordering::Relaxed) {
+            break;
+        }
         let view = View {
             camera,
             world_from_camera: *pose,
         };
         let pass = rasterizer.render(&gaussians, &view);
         let picture = png_bytes(&pass.rendered().color);
-        out.write(&format!("{i:06}.png"), |file| write_png(&picture, file))?;
+        let name = format!("{i:06}.png");
+        pictures
+            .write(&name, |file| write_png(&picture, file))
+            .map_err(|error| cannot_write(&pictures.shown(&name), error))?;
+        count += 1;
         bar.inc(1);
     }
     bar.finish_and_clear();
-    Console::People.say(format!("{}: {} pictures", out.path().display(), path.len()));
-    Ok(EXIT_DONE)
+    pictures.finish().map_err(RunError::from)?;
+    Console::People.say(format!("{}: {count} pictures", out.path().display()));
+    Ok(if count < path.len() {
+        EXIT_INTERRUPTED
+    } else {
+        EXIT_DONE
+    })
+}
+
+fn cannot_write(path: &Path, source: io::Error) -> RunError {
+    RunError::Write {
+        path: path.into(),
+        source,
+    }
 }
 
 /// At most `count` of the poses, evenly spread, including the first and the last.

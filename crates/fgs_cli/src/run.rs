@@ -81,7 +81,7 @@ pub struct RunArgs {
     /// After the last frame, optimise the map by N more steps with all keyframes alike; the result is
     /// saved and scored beside the map as it was
     #[arg(long, value_name = "N")]
-    refine: Option<usize>,
+    refine: Option<u32>,
     /// Render and score every frame at the end (PSNR, SSIM, depth)
     #[arg(long)]
     eval: bool,
@@ -107,7 +107,7 @@ pub fn run(args: &RunArgs) -> anyhow::Result<u8> {
         execution: args.mode,
         backend: args.backend,
         frames: args.frames,
-        refine: args.refine,
+        refine: args.refine.map(|steps| steps as usize),
         eval_holdout: args.eval_holdout,
         out: args.out.clone(),
         evaluate: args.eval,
@@ -120,9 +120,11 @@ pub fn run(args: &RunArgs) -> anyhow::Result<u8> {
     execute(&plan, model, Console::new(args.json), &stop)
 }
 
-/// The command line as typed.
+/// The command line as typed; what is not UTF-8 is shown as far as it can be.
 pub fn command_line() -> String {
-    std::env::args().collect::<Vec<_>>().join(" ")
+    let words: Vec<_> = std::env::args_os().collect();
+    let words = words.iter().map(|word| word.to_string_lossy());
+    words.collect::<Vec<_>>().join(" ")
 }
 
 /// Does what was planned and reports on it; returns the exit code.
@@ -155,13 +157,13 @@ fn announce(plan: &Plan, model: &Model, console: Console) {
     console.event(
         "start",
         json!({
-            "dataset": plan.dataset_path,
+            "dataset": plan.dataset_path.to_string_lossy(),
             "format": format,
             "frames": plan.frames,
             "width": camera.width,
             "height": camera.height,
             "backend": model.name,
-            "out": out,
+            "out": out.to_string_lossy(),
         }),
     );
     console.say(format!(

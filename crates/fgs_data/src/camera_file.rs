@@ -4,8 +4,6 @@
 //! A [`CameraFile`] is validated on construction, whatever its source, so the rest of the code can
 //! rely on it.
 
-use std::fs::File;
-use std::io::Read;
 use std::ops::Range;
 use std::path::Path;
 
@@ -334,14 +332,10 @@ fn line_of(text: &str, span: Range<usize>) -> Option<usize> {
 }
 
 fn read_small_file(path: &Path) -> Result<String, DataError> {
-    let mut text = String::new();
-    File::open(path)
-        .and_then(|file| file.take(MAX_FILE_BYTES).read_to_string(&mut text))
-        .map_err(|source| DataError::Io {
-            path: path.into(),
-            source,
-        })?;
-    Ok(text)
+    fgs_files::read_text(path, MAX_FILE_BYTES).map_err(|source| DataError::Io {
+        path: path.into(),
+        source,
+    })
 }
 
 #[cfg(test)]

@@ -130,6 +130,17 @@ pub enum DataError {
     /// A JPEG file that ends before its last pixel.
     #[error("{}: the JPEG image is cut short", .0.display())]
     Truncated(PathBuf),
+    /// An image whose name is not UTF-8.
+    #[error("{:?}: the file's name is not UTF-8: rename it", .0)]
+    NotUtf8(PathBuf),
+    /// A text file longer than any of its kind.
+    #[error("{} is longer than {max_bytes} bytes", path.display())]
+    FileTooLong {
+        /// The file.
+        path: PathBuf,
+        /// The most that is read.
+        max_bytes: u64,
+    },
     /// A file too large to be an image.
     #[error("{} is no image: it has more than {max_bytes} bytes", path.display())]
     FileSize {
@@ -204,6 +215,24 @@ pub enum DataError {
     DecoderPanicked(usize),
 }
 
+impl DataError {
+    /// Whether something else has to be named, or a camera file written: trying again without that is
+    /// pointless.
+    pub fn is_usage(&self) -> bool {
+        match self {
+            Self::CameraFile { .. }
+            | Self::Camera { .. }
+            | Self::NoCamera { .. }
+            | Self::NotAFolder(_)
+            | Self::NotUtf8(_)
+            | Self::UnknownFormat(_) => true,
+            Self::Line { fault, .. } => *fault == LineFault::Utf16,
+            Self::Io { source, .. } => source.kind() == std::io::ErrorKind::InvalidInput,
+            _ => false,
+        }
+    }
+}
+
 /// What is wrong with a line of a text file, or with a pose.
 #[derive(Clone, Debug, Error, PartialEq)]
 #[non_exhaustive]
@@ -211,6 +240,9 @@ pub enum LineFault {
     /// Longer than any line of these formats can be.
     #[error("the line is longer than {0} bytes")]
     TooLong(usize),
+    /// Two bytes a character.
+    #[error("the file is UTF-16 text: save it as UTF-8")]
+    Utf16,
     /// Not UTF-8.
     #[error("the line is not text")]
     NotText,

@@ -111,13 +111,17 @@ impl Trajectory {
     /// # Errors
     /// If the file cannot be written.
     pub fn write(&self, path: &Path) -> Result<(), DataError> {
-        fgs_files::write_file(path, |file| self.write_lines(file)).map_err(|source| DataError::Io {
+        fgs_files::write_file(path, |file| self.encode(file)).map_err(|source| DataError::Io {
             path: path.into(),
             source,
         })
     }
 
-    fn write_lines(&self, file: &mut impl Write) -> std::io::Result<()> {
+    /// Writes what [`write`](Self::write) does to any writer.
+    ///
+    /// # Errors
+    /// What the writer returns.
+    pub fn encode(&self, file: &mut impl Write) -> std::io::Result<()> {
         writeln!(file, "# timestamp tx ty tz qx qy qz qw")?;
         for pose in &self.poses {
             let t = pose.world_from_camera.translation;

@@ -2,14 +2,24 @@
 //!
 //! Both are written under a temporary name (`NAME.xxxxxx.unfinished`) beside their final place and
 //! renamed at the end, so neither a full disk nor a crash leaves half a file under its final name.
-//! What fails, or is dropped before it is finished, is removed again.
+//! What fails, or is dropped before it is finished, is removed again; what a killed process has left,
+//! by the next that writes there.
 
-use std::ffi::OsString;
+mod contents;
+mod lock;
+mod output_folder;
+mod reading;
+mod switch;
+
+use std::ffi::{OsStr, OsString};
 use std::fs::{self, File};
 use std::io::{self, BufWriter};
 use std::path::{Path, PathBuf};
 
 use tempfile::{Builder, TempDir};
+
+pub use output_folder::{FolderError, OutputFolder, StagedFolder};
+pub use reading::{BYTE_ORDER_MARK, is_utf16, open_regular, read_text};
 
 /// Writes a file, replacing an existing one only once the new one is complete and on the disk.
 ///
@@ -20,6 +30,7 @@ pub fn write_file(
     content: impl FnOnce(&mut BufWriter<File>) -> io::Result<()>,
 ) -> io::Result<()> {
     let (parent, prefix) = place(path)?;
+    remove_dead_files(parent, path.file_name().unwrap_or_default());
     let mut builder = Builder::new();
     // Temporary files are private by default; results are to be as readable as any other file.
     #[cfg(unix)]
@@ -29,6 +40,8 @@ pub fn write_file(
         .suffix(SUFFIX)
         .tempfile_in(parent)?
         .into_parts();
+    // Tells others that its writer lives. Where there are no locks, nobody looks.
+    let _ = file.try_lock();
     let mut writer = BufWriter::new(file);
     content(&mut writer)?;
     writer.into_inner()?.sync_all()?;
@@ -82,6 +95,37 @@ impl NewFolder {
 
 const SUFFIX: &str = ".unfinished";
 
+/// The random part of a temporary name.
+const RANDOM_CHARS: usize = 6;
+
+/// Whether a path is a temporary name for `name`.
+fn is_temporary(path: &Path, name: &OsStr, suffix: &str) -> bool {
+    let (Some(path), Some(name)) = (path.file_name().and_then(OsStr::to_str), name.to_str()) else {
+        return false;
+    };
+    let random = || {
+        path.strip_prefix(name)?
+            .strip_prefix('.')?
+            .strip_suffix(suffix)
+    };
+    random().is_some_and(|random| {
+        random.len() == RANDOM_CHARS && random.chars().all(|c| c.is_ascii_alphanumeric())
+    })
+}
+
+/// Removes what killed processes have left of the file `name`.
+fn remove_dead_files(parent: &Path, name: &OsStr) {
+    for entry in fs::read_dir(parent).into_iter().flatten().flatten() {
+        let path = entry.path();
+        let is_dead = |file: File| {
+            file.metadata().is_ok_and(|data| data.is_file()) && file.try_lock().is_ok()
+        };
+        if is_temporary(&path, name, SUFFIX) && open_regular(&path).is_ok_and(is_dead) {
+            let _ = fs::remove_file(path);
+        }
+    }
+}
+
 /// The folder that holds `path`, and the beginning of a temporary name in it.
 fn place(path: &Path) -> io::Result<(&Path, OsString)> {
     let mut prefix = path
@@ -134,6 +178,28 @@ mod tests {
         write_file(&path, |file| file.write_all(b"new")).unwrap();
         assert_eq!(fs::read(&path).unwrap(), b"new");
         assert_eq!(names(folder.path()), ["x"]);
+    }
+
+    /// A file is locked as long as its writer lives.
+    #[test]
+    fn left_overs_of_the_dead_are_removed() {
+        let folder = tempfile::tempdir().unwrap();
+        let [dead, alive, other] = [
+            "x.aB3dEf.unfinished",
+            "x.aB3dEg.unfinished",
+            "x.mine.unfinished",
+        ]
+        .map(|name| folder.path().join(name));
+        for path in [&dead, &alive, &other] {
+            fs::write(path, "").unwrap();
+        }
+        let writer = File::open(&alive).unwrap();
+        writer.lock().unwrap();
+        write_file(&folder.path().join("x"), |_| Ok(())).unwrap();
+        assert_eq!(
+            names(folder.path()),
+            ["x", "x.aB3dEg.unfinished", "x.mine.unfinished"]
+        );
     }
 
     #[test]

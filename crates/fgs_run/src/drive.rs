@@ -154,7 +154,7 @@ fn metrics(
         mode: plan.execution,
         backend,
         threads: rayon::current_num_threads(),
-        dataset: plan.dataset_path.clone(),
+        dataset: plan.dataset_from_folder.clone(),
         eval_holdout: plan.eval_holdout,
         refined: output.refined.as_ref().map(|refined| RefinedMetrics {
             steps: refined.steps,

@@ -23,6 +23,10 @@ use crate::scores::{FrameErrors, TrajectoryErrors};
 /// So many frames are in memory and scored side by side: enough for the cores of a desktop.
 const FRAMES_AT_ONCE: usize = 16;
 
+/// The most pixels in memory at once, where frames are large: with what a frame's scores take, some
+/// hundred bytes a pixel, half a gigabyte.
+const PIXELS_AT_ONCE: usize = 5_000_000;
+
 impl RunResult {
     /// Fills in the trajectory's errors where the recording has ground truth.
     ///
@@ -120,13 +124,15 @@ fn score_maps(
     let (Some(first), Some(last)) = (rows.first(), rows.last()) else {
         return Ok(Some(scores));
     };
+    let pixels = dataset.camera().width * dataset.camera().height;
+    let at_once = (PIXELS_AT_ONCE / pixels).clamp(1, FRAMES_AT_ONCE);
     let mut frames = dataset.frames(first.index..last.index + 1).zip(rows);
     let mut done = 0;
     while done < rows.len() {
         if stop.load(Ordering::Relaxed) {
             return Ok(None);
         }
-        let batch: Vec<_> = frames.by_ref().take(FRAMES_AT_ONCE).collect();
+        let batch: Vec<_> = frames.by_ref().take(at_once).collect();
         if batch.is_empty() {
             break;
         }

@@ -52,6 +52,7 @@ mod settings;
 pub use backend::{Backend, Model};
 pub use error::RunError;
 pub use evaluation::score_images;
+pub use fgs_files::OutputFolder;
 pub use frame_log::FrameRow;
 pub use frame_range::FrameRange;
 pub use metrics::{Metrics, RefinedMetrics};

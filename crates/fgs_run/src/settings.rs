@@ -4,7 +4,6 @@
 //! Unknown keys and impossible values are refused, with file and line or with the assignment they
 //! came from.
 
-use std::fs;
 use std::path::{Path, PathBuf};
 
 use fgs_data::CameraFile;
@@ -22,6 +21,9 @@ use crate::frame_range::FrameRange;
 
 /// The commit that this library was built from; "unknown" without git.
 pub const COMMIT: &str = env!("FGS_COMMIT");
+
+/// All settings with comments take 10 kB.
+const MAX_BYTES: u64 = 1 << 20;
 
 /// A settings file: every group of [`SlamConfig`], the camera, and what a run records about itself, so
 /// that its effective settings repeat it.
@@ -58,9 +60,12 @@ pub struct RunSettings {
     /// The command line, if there was one.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub command: Option<String>,
-    /// The recording as given.
+    /// The recording, as seen from the run's folder.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub dataset: Option<PathBuf>,
+    /// Its number of frames.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub dataset_frames: Option<usize>,
     /// How tracker and mapper took turns.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub mode: Option<Execution>,
@@ -139,7 +144,8 @@ impl Settings {
             line,
             message,
         };
-        let text = fs::read_to_string(path).map_err(|error| refusal(None, error.to_string()))?;
+        let text = fgs_files::read_text(path, MAX_BYTES)
+            .map_err(|error| refusal(None, error.to_string()))?;
         let line = |at: usize| line_at(&text, at);
         let settings: Self = toml::from_str(&text).map_err(|error| {
             let at = error.span().map(|span| span.start);
@@ -201,6 +207,8 @@ pub(crate) fn one_line(message: &str) -> String {
 
 #[cfg(test)]
 mod tests {
+    use std::fs;
+
     use super::*;
 
     fn read(text: &str) -> Result<Settings, String> {
@@ -270,6 +278,7 @@ mod tests {
         settings.run = RunSettings {
             command: Some("fgs run \"a b\"".into()),
             dataset: Some("a b".into()),
+            dataset_frames: Some(12),
             mode: Some(Execution::Lockstep),
             backend: Some(Backend::Cpu),
             frames: Some((2..8).into()),

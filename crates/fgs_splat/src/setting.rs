@@ -47,9 +47,11 @@ impl SettingError {
     }
 
     /// # Errors
-    /// Unless the count is 1 or more.
-    pub fn unless_count(key: &str, value: usize) -> Result<(), Self> {
-        Self::unless(value > 0, key, value as f64, || "at least 1".into())
+    /// Unless the count is 1 to `max`; `reason` says why not more.
+    pub fn unless_count(key: &str, value: usize, max: usize, reason: &str) -> Result<(), Self> {
+        Self::unless((1..=max).contains(&value), key, value as f64, || {
+            format!("between 1 and {max}: {reason}")
+        })
     }
 
     /// # Errors

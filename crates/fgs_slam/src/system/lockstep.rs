@@ -36,7 +36,7 @@ impl Mapping for Lockstep {
                 worker.take(work)?;
                 worker.settle()?;
             }
-            (0..steps).try_for_each(|_| worker.step())
+            worker.steps(steps)
         });
         alive.then_some(()).ok_or(MapperGone)
     }

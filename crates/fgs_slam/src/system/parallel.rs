@@ -26,8 +26,7 @@ pub fn start(worker: MapperWorker, mut budget: Budget) -> io::Result<MappingThre
                     Message::Frame(_) => budget.next_frame(),
                     _ => 0,
                 };
-                let alive = obey(worker, message)
-                    && worker.turn(|worker| (0..steps).try_for_each(|_| worker.step()));
+                let alive = obey(worker, message) && worker.turn(|worker| worker.steps(steps));
                 if !alive {
                     break;
                 }

@@ -19,6 +19,7 @@ use crate::refinement::RefinedMap;
 /// What the mapper tells the tracking side. Bounded by the size of the map.
 #[derive(Default)]
 pub struct MapStatus {
+    is_stopped: AtomicBool,
     num_gaussians: AtomicUsize,
     steps: AtomicUsize,
     removed: Mutex<Vec<SparseId>>,
@@ -27,6 +28,11 @@ pub struct MapStatus {
 }
 
 impl MapStatus {
+    /// No optimisation step is taken from now on.
+    pub fn stop_optimizing(&self) {
+        self.is_stopped.store(true, Ordering::Relaxed);
+    }
+
     /// Gaussians in the map.
     pub fn num_gaussians(&self) -> usize {
         self.num_gaussians.load(Ordering::Relaxed)
@@ -173,6 +179,17 @@ impl MapperWorker {
             self.mapper.insert(prepared)?;
         }
         self.mapper.step()
+    }
+
+    /// So many optimisation steps, as long as they are wanted: see [`MapStatus::stop_optimizing`].
+    pub fn steps(&mut self, steps: usize) -> Result<(), MapperError> {
+        for _ in 0..steps {
+            if self.status.is_stopped.load(Ordering::Relaxed) {
+                break;
+            }
+            self.step()?;
+        }
+        Ok(())
     }
 
     /// Whether there is a keyframe to optimise.
