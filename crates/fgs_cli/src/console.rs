@@ -94,9 +94,38 @@ impl Warnings {
 /// Prints a line to stderr.
 pub fn complain(text: impl Display) {
     // `eprintln!` would panic where nobody reads, and take the run with it; lints forbid it.
-    let _ = writeln!(std::io::stderr().lock(), "{text}");
+    let _ = writeln!(std::io::stderr().lock(), "{}", escaped(&text.to_string()));
 }
 
 fn print_line(text: impl Display) {
-    let _ = writeln!(std::io::stdout().lock(), "{text}");
+    let _ = writeln!(std::io::stdout().lock(), "{}", escaped(&text.to_string()));
+}
+
+/// Text that may hold parts of files: what would move a terminal's cursor or turn its text round is shown
+/// instead.
+fn escaped(text: &str) -> String {
+    let is_harmless = |c: char| {
+        c == '\n'
+            || !(c.is_control() || matches!(c, '\u{202a}'..='\u{202e}' | '\u{2066}'..='\u{2069}'))
+    };
+    let mut shown = String::with_capacity(text.len());
+    for c in text.chars() {
+        if is_harmless(c) {
+            shown.push(c);
+        } else {
+            shown.extend(c.escape_default());
+        }
+    }
+    shown
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn text_of_files_does_nothing_to_a_terminal() {
+        assert_eq!(escaped("a\u{1b}[31mb\rc\td"), "a\\u{1b}[31mb\\rc\\td");
+        assert_eq!(escaped("ä\n\u{202e}x"), "ä\n\\u{202e}x");
+    }
 }

@@ -4,7 +4,7 @@ use std::io;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::Ordering;
 
-use anyhow::Context;
+use anyhow::{Context, bail};
 use clap::Args;
 use fgs_data::Trajectory;
 use fgs_geom::{Camera, CameraError, Intrinsics, Se3, View};
@@ -82,7 +82,13 @@ pub fn run(args: &RenderArgs) -> anyhow::Result<u8> {
         .unwrap_or_else(|| folder.join(TRAJECTORY));
     let trajectory = Trajectory::read(&trajectory)
         .context("no poses to render from (--trajectory FILE gives them)")?;
+    if trajectory.poses().is_empty() {
+        bail!("there are no poses to render from (--trajectory FILE gives others)");
+    }
     let gaussians = fgs_splat::read_ply(&map)?;
+    if gaussians.is_empty() {
+        bail!("{} is empty: there is nothing to render", map.display());
+    }
     let default_out = folder.join(if args.fly_through {
         "fly-through"
     } else {
@@ -169,10 +175,30 @@ fn camera(args: &RenderArgs, folder: &Path) -> anyhow::Result<Camera> {
     });
     let size = args.size.or(of_recorded).unwrap_or(DEFAULT_SIZE);
     match (recorded, args.fov) {
-        (Some(camera), None) => resized(&camera, size).map_err(usage),
-        (_, fov) => with_fov(size, fov.unwrap_or(DEFAULT_FOV_DEG)).map_err(usage),
+        (Some(camera), None) => Ok(resized(&camera, size).map_err(usage)?),
+        (_, fov) => {
+            let fov_deg = fov.unwrap_or(DEFAULT_FOV_DEG);
+            let refusal = |_| {
+                let [least, most] = possible_fovs_deg(size);
+                let ImageSize { width, height } = size;
+                UsageError(format!(
+                    "--fov {fov_deg}: pictures of {width}x{height} can show {least:.1} to {most:.1} degrees"
+                ))
+            };
+            Ok(with_fov(size, fov_deg).map_err(refusal)?)
+        }
     }
-    .map_err(Into::into)
+}
+
+/// The narrowest and the widest field of view that [`Camera::new`] accepts, inward to a tenth of a
+/// degree.
+fn possible_fovs_deg(size: ImageSize) -> [f64; 2] {
+    let tenths = |tan: f64| 20.0 * tan.atan().to_degrees();
+    let half_width = 0.5 * size.width as f64 / size.width.max(size.height) as f64;
+    [
+        0.1 * tenths(half_width / 100.0).ceil(),
+        0.1 * tenths(half_width / 0.1).floor(),
+    ]
 }
 
 /// The same horizontal field of view at another size.
@@ -214,6 +240,11 @@ mod tests {
         for fov in [0.0, 180.0, -60.0, f64::NAN] {
             assert!(with_fov(SIZE, fov).is_err(), "{fov}");
         }
+        for fov in possible_fovs_deg(SIZE) {
+            with_fov(SIZE, fov).unwrap();
+        }
+        let [least, most] = possible_fovs_deg(SIZE);
+        assert!(with_fov(SIZE, least - 0.1).is_err() && with_fov(SIZE, most + 0.1).is_err());
     }
 
     #[test]

@@ -5,11 +5,12 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use anyhow::bail;
 use clap::Args;
+use fgs_data::Dataset;
 use fgs_run::{Backend, FrameRange, Model, Plan, RunOptions, RunResult};
-use fgs_slam::{Execution, Holdout};
+use fgs_slam::{Execution, FrameStatus, Holdout};
 use serde_json::json;
 
-use crate::console::Console;
+use crate::console::{Console, complain};
 use crate::failure::{EXIT_DONE, EXIT_INTERRUPTED, explain};
 use crate::progress::Progress;
 use crate::threads::Threads;
@@ -175,6 +176,16 @@ fn announce(plan: &Plan, model: &Model, console: Console) {
         camera.height
     ));
     console.say(format!("computing on {model}"));
+    warn_of_poses(&plan.dataset);
+}
+
+/// Says so if the recording's poses cannot be used.
+pub fn warn_of_poses(dataset: &Dataset) {
+    if let Some(error) = dataset.ground_truth_error() {
+        complain(format_args!(
+            "warning: the recording's poses are left out: {error}"
+        ));
+    }
 }
 
 fn report(plan: &Plan, result: &RunResult, console: Console) -> anyhow::Result<()> {
@@ -188,6 +199,22 @@ fn report(plan: &Plan, result: &RunResult, console: Console) -> anyhow::Result<(
             None => format!("at frame {}", result.rows.last().map_or(0, |row| row.index)),
         };
         bail!("the run ended early, {place}: {failure}; the results so far are in {folder}");
+    }
+    let mut seen = result
+        .rows
+        .iter()
+        .filter(|row| row.points.is_some())
+        .peekable();
+    if seen.peek().is_some() && seen.all(|row| row.status == FrameStatus::Lost) {
+        let cause = if result.rows.iter().all(|row| row.points.unwrap_or(0) == 0) {
+            "no surface is seen; is depth missing, further away than tracking.max_depth_m, or depth_scale wrong?"
+        } else {
+            "no frame fits another; do depth_scale and the focal lengths fit the images?"
+        };
+        let dataset = plan.dataset_path.display();
+        bail!(
+            "the camera was lost in every frame: {cause} `fgs doctor {dataset}` looks for the cause"
+        );
     }
     Ok(())
 }

@@ -355,7 +355,7 @@ fn what_is_no_file_is_named_and_does_not_hang() {
             "one",
         ],
     ));
-    assert_says(&output, 2, &["rgb.txt:4", "named pipe"]);
+    assert_says(&output, 1, &["rgb.txt:4", "named pipe"]);
 }
 
 #[cfg(unix)]
@@ -503,6 +503,29 @@ fn killed_while_replacing() {
     only_out(path);
 }
 
+/// A file that grows beyond a limit ends the process at once, at the first that is so large.
+#[cfg(unix)]
+#[test]
+fn killed_at_a_write() {
+    let folder = folder_with_recording();
+    let path = folder.path();
+    run_with(path, &["--frames", "..3"], 0);
+    let before = contents(&path.join("out"));
+    for blocks in [0, 1, 2, 4, 16, 64] {
+        let limited = format!(
+            "ulimit -f {blocks}; exec \"$0\" run room --out out --frames ..3 --backend cpu --set seed=2"
+        );
+        let mut shell = Command::new("sh");
+        shell
+            .current_dir(path)
+            .args(["-c", &limited, env!("CARGO_BIN_EXE_fgs")]);
+        assert_eq!(finish(shell).status.code(), None, "{blocks}");
+        assert!(contents(&path.join("out")) == before, "{blocks}");
+    }
+    run_with(path, &["--frames", "..2"], 0);
+    only_out(path);
+}
+
 /// Ever smaller limits on the size of a file stand in for a disk that is full at every write.
 #[cfg(unix)]
 #[test]
@@ -547,9 +570,120 @@ fn a_full_disk_at_every_write() {
 }
 
 #[test]
-fn messages() {
+fn what_is_mistyped_is_a_usage_error() {
     let folder = folder_with_recording();
     let path = folder.path();
-    assert_says(&run(path, &["run", "rom"], 2), 2, &["rom"]);
-    assert!(stdout(&run(path, &["--version"], 0)).starts_with("fgs "));
+    assert_says(&run(path, &["run", "rom"], 2), 2, &["rom does not exist"]);
+    let file = "room/rgb.txt";
+    assert_says(&run(path, &["run", file], 2), 2, &[file, "is not a folder"]);
+    let utf16 = |text: &str| -> Vec<u8> {
+        let units = std::iter::once(0xfeff).chain(text.encode_utf16());
+        units.flat_map(u16::to_le_bytes).collect()
+    };
+    fs::write(path.join("config.toml"), "seed = 3\n").unwrap();
+    run_with(path, &["--frames", "..2"], 0);
+    for (file, arguments) in [
+        ("room/rgb.txt", ["run", "room"].as_slice()),
+        ("room/camera.toml", &["run", "room"]),
+        ("config.toml", &["run", "room", "--config", "config.toml"]),
+        ("out/metrics.json", &["eval", "out"]),
+        ("out/frames.csv", &["eval", "out"]),
+        ("out/trajectory.txt", &["eval", "out"]),
+        ("out/config.effective.toml", &["eval", "out"]),
+    ] {
+        let text = fs::read_to_string(path.join(file)).unwrap();
+        fs::write(path.join(file), utf16(&text)).unwrap();
+        assert_says(&run(path, arguments, 2), 2, &[file, "UTF-16"]);
+        // With the mark of UTF-8 it is read as without.
+        fs::write(path.join(file), format!("\u{feff}{text}")).unwrap();
+        if file.starts_with("room") || file == "config.toml" {
+            let short = ["--backend", "cpu", "--frames", "..1", "--out", "other"];
+            run(path, &[arguments, &short].concat(), 0);
+        } else {
+            run(path, arguments, 0);
+        }
+    }
+}
+
+#[test]
+fn no_names_of_types_and_no_endless_numbers() {
+    let folder = folder_with_recording();
+    let path = folder.path();
+    for set in [
+        "seed=1.5",
+        "seed={a=1}",
+        "mapping=3",
+        "mapping.prune_every=-1",
+        "tracking.max_depth_m=far",
+        "run.mode=3",
+        "run.dataset=3",
+        "camera=3",
+        "tracking.grid_stride_px=99999999999999999999",
+        "mapping.iterations_per_frame=1e308",
+    ] {
+        let output = run_with(path, &["--set", set], 2);
+        let message = stderr(&output);
+        assert_says(&output, 2, &[set]);
+        for word in [
+            "usize",
+            "u64",
+            "f64",
+            "i128",
+            "struct",
+            "variant",
+            "string only",
+            "00000000000000000000",
+        ] {
+            assert!(!message.contains(word), "{message}");
+        }
+    }
+    run_with(path, &["--frames", "..2"], 0);
+    let wide = run(path, &["render", "out", "--fov", "170"], 2);
+    assert_says(&wide, 2, &["--fov 170", "160x120", "0.6 to 157.3 degrees"]);
+}
+
+#[test]
+fn poses_that_cannot_be_used_are_left_out() {
+    let folder = folder_with_recording();
+    let path = folder.path();
+    fs::write(path.join("room/groundtruth.txt"), "0 1 2 \u{1b}[31mred\n").unwrap();
+    let output = run_with(path, &["--frames", "..3"], 0);
+    assert_says(
+        &output,
+        0,
+        &["warning", "poses are left out", "groundtruth.txt:1"],
+    );
+    assert!(!stderr(&output).contains('\u{1b}'));
+    let metrics = metrics(&path.join("out"));
+    assert!(metrics["ate_rmse_m"].is_null() && metrics["num_gaussians"] != 0);
+    assert!(stdout(&run(path, &["doctor", "room"], 0)).contains("groundtruth.txt:1"));
+}
+
+/// Without its lists the recording is two folders of images.
+#[test]
+fn images_without_partners_are_named() {
+    let folder = folder_with_recording();
+    let path = folder.path();
+    for kind in ["rgb", "depth"] {
+        fs::remove_file(path.join("room").join(format!("{kind}.txt"))).unwrap();
+        for (index, name) in names(&path.join("room").join(kind)).iter().enumerate() {
+            let folder = path.join("room").join(kind);
+            fs::rename(folder.join(name), folder.join(format!("{index:06}.png"))).unwrap();
+        }
+    }
+    let _ = fs::remove_file(path.join("room/groundtruth.txt"));
+    run_with(path, &["--frames", "..2"], 0);
+    fs::remove_file(path.join("room/rgb/000005.png")).unwrap();
+    let partner = "room/depth/000005.png has no partner";
+    assert_says(&run_with(path, &[], 1), 1, &[partner, "room/rgb"]);
+    // As many of both.
+    fs::remove_file(path.join("room/depth/000007.png")).unwrap();
+    assert_says(
+        &run_with(path, &[], 1),
+        1,
+        &["room/rgb/000007.png has no partner"],
+    );
+    fs::remove_file(path.join("room/rgb/000007.png")).unwrap();
+    fs::remove_file(path.join("room/depth/000005.png")).unwrap();
+    run_with(path, &["--frames", "..2"], 0);
 }

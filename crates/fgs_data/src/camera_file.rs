@@ -10,7 +10,7 @@ use std::path::Path;
 use fgs_geom::{Camera, CameraError, DepthSensor, Distortion, Intrinsics, Se3};
 use serde::{Deserialize, Serialize};
 
-use crate::DataError;
+use crate::{DataError, plain_words};
 
 /// A camera file is seven numbers; this leaves room for comments.
 const MAX_FILE_BYTES: u64 = 64 * 1024;
@@ -173,7 +173,7 @@ impl CameraFile {
         let keys: Keys = parse().map_err(|error| DataError::CameraFile {
             path: path.into(),
             line: error.span().and_then(|span| line_of(text, span)),
-            message: error.message().replace('\n', " "),
+            message: plain_words(&error.message().replace('\n', " ")),
         })?;
         keys.checked(path)
     }
@@ -185,7 +185,7 @@ impl CameraFile {
             DataError::CameraFile {
                 path: path.into(),
                 line: None, // the message has it
-                message: error.to_string(),
+                message: plain_words(&error.to_string()),
             }
         })?;
         let ReplicaKeys {

@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use fgs_geom::{CameraError, FrameError};
+use fgs_geom::{CameraError, FrameError, Number};
 use thiserror::Error;
 
 /// Why a recording, a frame, a camera file or a trajectory file cannot be used.
@@ -17,6 +17,9 @@ pub enum DataError {
         /// Why.
         source: std::io::Error,
     },
+    /// The path of a recording leads nowhere.
+    #[error("{} does not exist", .0.display())]
+    NoSuchFolder(PathBuf),
     /// The path of a recording is not a folder.
     #[error("{} is not a folder", .0.display())]
     NotAFolder(PathBuf),
@@ -70,6 +73,14 @@ pub enum DataError {
         color: PathBuf,
         /// The file that should be there.
         depth: PathBuf,
+    },
+    /// An image whose number no image of the other kind has.
+    #[error("{} has no partner: no image in {} has its number", image.display(), folder.display())]
+    NoPartner {
+        /// The image.
+        image: PathBuf,
+        /// The folder of the other kind.
+        folder: PathBuf,
     },
     /// Two lists that should correspond one to one differ in length.
     #[error("{} holds {count}, but {} holds {other_count}", path.display(), other.display())]
@@ -223,6 +234,7 @@ impl DataError {
             Self::CameraFile { .. }
             | Self::Camera { .. }
             | Self::NoCamera { .. }
+            | Self::NoSuchFolder(_)
             | Self::NotAFolder(_)
             | Self::NotUtf8(_)
             | Self::UnknownFormat(_) => true,
@@ -258,7 +270,7 @@ pub enum LineFault {
     #[error("'{0}' is not a finite number")]
     NotANumber(String),
     /// A timestamp not later than the previous one.
-    #[error("time stamp {current} does not come after {previous}")]
+    #[error("time stamp {} does not come after {}", Number(*.current), Number(*.previous))]
     NotIncreasing {
         /// The previous timestamp, seconds.
         previous: f64,
@@ -266,15 +278,23 @@ pub enum LineFault {
         current: f64,
     },
     /// A quaternion whose length is not 1.
-    #[error("the quaternion's length is {0}, not 1")]
+    #[error("the quaternion's length is {}, not 1", Number(*.0))]
     Quaternion(f64),
     /// A matrix that is not a rigid transform.
     #[error("the matrix is no rigid transform: a rotation, a translation, and 0 0 0 1 below")]
     Matrix,
     /// A position or timestamp that is implausibly large or not finite.
-    #[error("{0} is out of range")]
+    #[error("{} is out of range", Number(*.0))]
     OutOfRange(f64),
     /// A listed file that does not exist.
     #[error("{} does not exist", .0.display())]
     AbsentFile(PathBuf),
+    /// What is listed is no file.
+    #[error("{} {what}", path.display())]
+    NotAFile {
+        /// The path.
+        path: PathBuf,
+        /// What it is.
+        what: String,
+    },
 }

@@ -58,11 +58,7 @@ impl Trajectory {
         if !timestamp_secs.is_finite() {
             return Err(LineFault::OutOfRange(timestamp_secs));
         }
-        for &coordinate in world_from_camera.translation.iter() {
-            if !(-MAX_COORDINATE_M..=MAX_COORDINATE_M).contains(&coordinate) {
-                return Err(LineFault::OutOfRange(coordinate));
-            }
-        }
+        check_position(&world_from_camera)?;
         let length = world_from_camera.rotation.norm();
         if !is_unit(length) {
             return Err(LineFault::Quaternion(length));
@@ -196,6 +192,16 @@ impl Trajectory {
     pub fn synchronized<'a>(&self, frame: &'a RgbdFrame) -> Cow<'a, RgbdFrame> {
         frame.synchronized(&self.velocity(frame.timestamp_secs, MAX_GAP_SECS))
     }
+}
+
+/// Refuses positions that maps cannot hold.
+pub(crate) fn check_position(world_from_camera: &Se3) -> Result<(), LineFault> {
+    for &coordinate in world_from_camera.translation.iter() {
+        if !(-MAX_COORDINATE_M..=MAX_COORDINATE_M).contains(&coordinate) {
+            return Err(LineFault::OutOfRange(coordinate));
+        }
+    }
+    Ok(())
 }
 
 fn is_unit(quaternion_length: f64) -> bool {

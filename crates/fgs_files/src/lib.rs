@@ -19,7 +19,7 @@ use std::path::{Path, PathBuf};
 use tempfile::{Builder, TempDir};
 
 pub use output_folder::{FolderError, OutputFolder, StagedFolder};
-pub use reading::{BYTE_ORDER_MARK, is_utf16, open_regular, read_text};
+pub use reading::{BYTE_ORDER_MARK, check_regular, is_present, is_utf16, open_regular, read_text};
 
 /// Writes a file, replacing an existing one only once the new one is complete and on the disk.
 ///

@@ -12,6 +12,15 @@ pub const BYTE_ORDER_MARK: &[u8] = b"\xef\xbb\xbf";
 /// # Errors
 /// The operating system's refusal, or what the path leads to instead.
 pub fn open_regular(path: &Path) -> io::Result<File> {
+    check_regular(path)?;
+    File::open(path)
+}
+
+/// Whether a path leads to a regular file.
+///
+/// # Errors
+/// The operating system's refusal, or what the path leads to instead.
+pub fn check_regular(path: &Path) -> io::Result<()> {
     let metadata = match fs::metadata(path) {
         Err(error) if error.kind() == io::ErrorKind::NotFound && path.is_symlink() => {
             return Err(refusal("is a link that leads nowhere"));
@@ -19,12 +28,17 @@ pub fn open_regular(path: &Path) -> io::Result<File> {
         metadata => metadata?,
     };
     if metadata.is_file() {
-        return File::open(path);
+        return Ok(());
     }
     Err(refusal(match kind(metadata.file_type()) {
         Some(kind) => kind,
         None => "is no regular file",
     }))
+}
+
+/// Whether there is anything by this name, even a link that leads nowhere.
+pub fn is_present(path: &Path) -> bool {
+    path.symlink_metadata().is_ok()
 }
 
 /// The text of a file of at most `max_bytes`, without a byte order mark.

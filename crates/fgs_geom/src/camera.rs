@@ -3,6 +3,8 @@
 use nalgebra::{Vector2, Vector3};
 use thiserror::Error;
 
+use crate::Number;
+
 use crate::Se3;
 
 /// Focal lengths and principal point, pixels.
@@ -20,7 +22,7 @@ pub struct Intrinsics {
 
 /// A camera parameter out of its plausible range.
 #[derive(Clone, Debug, Error, PartialEq)]
-#[error("{key} = {value} is not possible: {expected}")]
+#[error("{key} = {} is not possible: {expected}", Number(*.value))]
 pub struct CameraError {
     /// Name of the parameter, as in a camera file.
     pub key: &'static str,

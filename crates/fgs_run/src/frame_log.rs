@@ -3,6 +3,7 @@
 use std::io::{self, BufRead, BufReader, Read, Write};
 use std::path::Path;
 
+use fgs_data::plain_words;
 use fgs_files::{BYTE_ORDER_MARK, is_utf16, open_regular};
 use fgs_slam::{FrameStatus, KeyframeKind};
 use serde::{Deserialize, Serialize};
@@ -127,7 +128,12 @@ pub fn read(path: &Path) -> Result<Vec<FrameRow>, RunError> {
         path: path.into(),
         source,
     };
-    let rows = rows().map_err(|source| error(source.into()))?;
+    let rows = rows().map_err(|source| {
+        error(match source.is_io_error() {
+            true => source.into(),
+            false => io::Error::new(io::ErrorKind::InvalidData, plain_words(&source.to_string())),
+        })
+    })?;
     if rows.len() > MAX_ROWS {
         let what = format!("holds more than {MAX_ROWS} frames");
         return Err(error(io::Error::new(io::ErrorKind::InvalidInput, what)));

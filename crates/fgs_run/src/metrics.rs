@@ -1,8 +1,9 @@
 //! `metrics.json`: a run in numbers.
 
-use std::io::Write;
+use std::io::{self, Write};
 use std::path::PathBuf;
 
+use fgs_data::plain_words;
 use fgs_files::{StagedFolder, read_text};
 use fgs_slam::{Execution, Holdout};
 use serde::{Deserialize, Serialize};
@@ -105,7 +106,11 @@ impl Metrics {
     pub fn read(folder: &RunFolder) -> Result<Self, RunError> {
         let path = folder.join(METRICS);
         read_text(&path, MAX_BYTES)
-            .and_then(|text| Ok(serde_json::from_str(&text)?))
+            .and_then(|text| {
+                serde_json::from_str(&text).map_err(|error| {
+                    io::Error::new(io::ErrorKind::InvalidData, plain_words(&error.to_string()))
+                })
+            })
             .map_err(|source| RunError::Read { path, source })
     }
 

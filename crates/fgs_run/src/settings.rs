@@ -6,7 +6,7 @@
 
 use std::path::{Path, PathBuf};
 
-use fgs_data::CameraFile;
+use fgs_data::{CameraFile, plain_words};
 use fgs_slam::{
     Execution, Holdout, KeyframeConfig, LoopConfig, MappingConfig, SeedingConfig, SlamConfig,
     SurfaceConfig, TrackingConfig,
@@ -201,8 +201,9 @@ fn line_at(text: &str, position: usize) -> usize {
     1 + before.filter(|byte| **byte == b'\n').count()
 }
 
+/// A parser's message in one line and in plain words.
 pub(crate) fn one_line(message: &str) -> String {
-    message.lines().map(str::trim).collect::<Vec<_>>().join(" ")
+    plain_words(&message.lines().map(str::trim).collect::<Vec<_>>().join(" "))
 }
 
 #[cfg(test)]
@@ -253,12 +254,12 @@ mod tests {
             ),
             (
                 "[mapping]\nprune_every = 'often'",
-                ":2: invalid type: string",
+                ":2: \"often\" is given where a whole number",
             ),
             ("seed = \n", ":1: "),
             ("[camera]\nwidth = 640", ":1: missing field"),
-            ("[run]\nmode = 'fast'", ":2: unknown variant `fast`"),
-            ("[run]\nbackend = 'abacus'", ":2: unknown variant `abacus`"),
+            ("[run]\nmode = 'fast'", ":2: unknown choice `fast`"),
+            ("[run]\nbackend = 'abacus'", ":2: unknown choice `abacus`"),
             (
                 "[run]\neval_holdout = 1",
                 ":2: one frame in 1 cannot be held out",

@@ -3,9 +3,11 @@
 
 use std::ops::RangeInclusive;
 
+use fgs_geom::Number;
+
 /// A setting with a value that is not allowed.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
-#[error("{key} = {value} is not possible: it must be {expected}")]
+#[error("{key} = {} is not possible: it must be {expected}", Number(*.value))]
 pub struct SettingError {
     /// Dotted path of the setting.
     pub key: String,

@@ -42,7 +42,7 @@ use crate::failure::{EXIT_DONE, EXIT_FAILED};
 
 use frame_pairs::FramePair;
 use motion_fit::Motion;
-use report::{Found, Report, Verdict};
+use report::{Check, Found, Report, Verdict};
 use survey::Survey;
 
 /// Examine a recording before running it
@@ -145,6 +145,13 @@ fn examine(dataset: &Dataset, progress: impl FnMut()) -> Report {
         let (check, fit) = poses::check(&motions, &poses);
         checks.push(check);
         motion_fit = fit;
+    }
+    if let Some(error) = dataset.ground_truth_error() {
+        checks.push(Check::warn(
+            "poses",
+            error.to_string(),
+            "correct the file or remove it; a run goes on without these poses".into(),
+        ));
     }
     let depth_scale = dataset.camera_file().depth_scale();
     let median_depth = statistics::median(survey.median_depths_m);
