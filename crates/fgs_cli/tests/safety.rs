@@ -332,7 +332,7 @@ fn what_is_no_file_is_named_and_does_not_hang() {
         };
         for command in commands {
             let output = finish(fgs(path, command));
-            let message = stderr(&output);
+            let message = stderr(&output) + &stdout(&output);
             assert!(
                 message.contains(what) && message.contains(file),
                 "{file}: {message}"

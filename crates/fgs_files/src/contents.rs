@@ -24,8 +24,10 @@ pub(crate) struct Contents {
     ours: Vec<PathBuf>,
     /// Folders that hold some of them, inner ones first.
     folders: Vec<PathBuf>,
-    /// Everything else.
+    /// All other files.
     pub foreign: Vec<PathBuf>,
+    /// Folders with nothing in them.
+    pub empty: Vec<PathBuf>,
 }
 
 impl Contents {
@@ -36,14 +38,24 @@ impl Contents {
         Ok(contents)
     }
 
-    /// Removes our files, and the folders that are empty then.
+    /// Removes our files, and the folders that are empty then. Lists go last: should the process be
+    /// killed meanwhile, the rest is still known to be ours.
     pub fn remove_ours(&self) {
-        for file in &self.ours {
+        let is_marker = |path: &&PathBuf| path.ends_with(LIST) || path.ends_with(UNFINISHED);
+        for file in self.ours.iter().filter(|path| !is_marker(path)) {
             // What cannot be removed stays, and is found again.
             let _ = fs::remove_file(file);
         }
-        for folder in &self.folders {
+        for folder in self.empty.iter().chain(&self.folders) {
             let _ = fs::remove_dir(folder);
+            let markers = [folder.join(LIST), folder.join(UNFINISHED)];
+            let held = fs::read_dir(folder).map_or(0, Iterator::count);
+            if held > 0 && held == markers.iter().filter(|marker| marker.is_file()).count() {
+                for marker in markers {
+                    let _ = fs::remove_file(marker);
+                }
+                let _ = fs::remove_dir(folder);
+            }
         }
     }
 
@@ -76,7 +88,7 @@ impl Contents {
         if self.ours.len() > before || all {
             self.folders.push(folder.to_owned());
         } else if is_empty {
-            self.foreign.push(folder.to_owned());
+            self.empty.push(folder.to_owned());
         }
         Ok(())
     }

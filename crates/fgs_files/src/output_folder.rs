@@ -174,8 +174,8 @@ impl OutputFolder {
             folder: folder(),
             source,
         })?;
-        let foreign = contents.foreign.iter().filter(|path| **path != self.real);
-        match foreign.min() {
+        let others = contents.foreign.iter().chain(&contents.empty);
+        match others.filter(|path| **path != self.real).min() {
             None => Ok(()),
             Some(path) => Err(FolderError::Foreign {
                 folder: folder(),

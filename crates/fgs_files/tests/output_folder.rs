@@ -159,11 +159,23 @@ fn left_overs_are_removed_and_what_was_set_aside_comes_back() {
     )
     .unwrap();
     fs::rename(&folder, parent.path().join("out.ABCDEF.replaced")).unwrap();
+    // Killed while removing what was replaced.
+    fill(
+        &parent.path().join("old"),
+        &["pictures/1", "pictures/2", "z"],
+    );
+    fs::remove_file(parent.path().join("old/pictures/1")).unwrap();
+    fs::remove_file(parent.path().join("old/pictures/2")).unwrap();
+    fs::rename(
+        parent.path().join("old"),
+        parent.path().join("out.123456.unfinished"),
+    )
+    .unwrap();
     // Somebody else's, by their names.
     fs::create_dir(parent.path().join("out.old.unfinished")).unwrap();
     fs::create_dir(parent.path().join("out.ghijkl.unfinished")).unwrap();
     fs::write(parent.path().join("out.ghijkl.unfinished/mine"), "").unwrap();
-    assert_eq!(names(parent.path()).len(), 5);
+    assert_eq!(names(parent.path()).len(), 6);
     drop(OutputFolder::claim(&folder).unwrap());
     assert_eq!(
         names(parent.path()),

@@ -129,9 +129,10 @@ pub fn read(path: &Path) -> Result<Vec<FrameRow>, RunError> {
         source,
     };
     let rows = rows().map_err(|source| {
-        error(match source.is_io_error() {
-            true => source.into(),
-            false => io::Error::new(io::ErrorKind::InvalidData, plain_words(&source.to_string())),
+        let message = plain_words(&source.to_string());
+        error(match source.into_kind() {
+            csv::ErrorKind::Io(error) => error,
+            _ => io::Error::new(io::ErrorKind::InvalidData, message),
         })
     })?;
     if rows.len() > MAX_ROWS {

@@ -1,6 +1,6 @@
 //! Scores a finished run again, from its folder and its recording.
 
-use std::path::{Path, PathBuf};
+use std::path::{Component, Path, PathBuf};
 use std::sync::atomic::AtomicBool;
 
 use fgs_data::Dataset;
@@ -123,14 +123,26 @@ pub(crate) fn save_scores(
 /// Where a path leads that is seen from a run's folder, or from the current one as runs once
 /// recorded it.
 fn from_folder(folder: &Path, recorded: &Path) -> PathBuf {
-    let folder = folder.canonicalize().unwrap_or_else(|_| folder.to_owned());
-    let path = folder.join(recorded);
-    let path = path.canonicalize().unwrap_or(path);
-    if path.exists() || !recorded.exists() {
-        path
-    } else {
-        recorded.to_owned()
+    let real = folder.canonicalize().map(|real| real.join(recorded));
+    match real.and_then(|path| path.canonicalize()) {
+        Ok(path) => path,
+        Err(_) if recorded.exists() => recorded.to_owned(),
+        Err(_) => without_detours(&folder.join(recorded)),
     }
+}
+
+/// `runs/desk/../../room` is `room`.
+fn without_detours(path: &Path) -> PathBuf {
+    let mut short = PathBuf::new();
+    for part in path.components() {
+        let is_name = matches!(short.components().next_back(), Some(Component::Normal(_)));
+        if part == Component::ParentDir && is_name {
+            short.pop();
+        } else {
+            short.push(part);
+        }
+    }
+    short
 }
 
 /// How a recording differs from the one that has these rows.
