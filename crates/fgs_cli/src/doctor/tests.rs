@@ -281,7 +281,7 @@ fn faults() -> Vec<Fault> {
             },
             "depth delay",
             Warn,
-            "depth_delay_secs = 0.1",
+            "depth_delay_secs = 0.08",
         ),
         fault(
             "focal x1.1, 12 frames",
@@ -426,6 +426,27 @@ fn is_found(report: &Report, fault: &Fault) -> bool {
     check.verdict == fault.verdict && text.contains(fault.says)
 }
 
+/// Checks that must not call for a change where something else is wrong.
+const INNOCENT: [(&str, &[&str]); 4] = [
+    ("focal x1.1, 12 frames", &["intrinsics", "poses"]),
+    (
+        "depth mirrored",
+        &["intrinsics", "poses", "depth scale", "depth delay"],
+    ),
+    ("depth along rays", &["intrinsics", "poses", "depth scale"]),
+    (
+        "black colour",
+        &["depth on colour", "intrinsics", "poses", "depth scale"],
+    ),
+];
+
+/// Whether the check of an innocent part calls for a change.
+fn is_accused(report: &Report, fault: &Fault) -> bool {
+    let innocent = INNOCENT.iter().find(|(name, _)| *name == fault.name);
+    let mut names = innocent.iter().flat_map(|(_, names)| *names);
+    names.any(|name| check(report, name).advice.is_some())
+}
+
 /// The rates of detected faults and of false alarms; takes minutes.
 #[test]
 #[ignore = "a measurement"]
@@ -478,15 +499,18 @@ fn sound_recordings_are_not_accused() {
 
 #[test]
 fn every_fault_is_found() {
+    let mut missed = String::new();
     for fault in &faults() {
         let mut recording = Recording::new(1);
         (fault.breaks)(&mut recording);
         let report = recording.examine();
-        assert!(is_found(&report, fault), "{}\n{report}", fault.name);
-        assert_eq!(
-            report.has_problem(),
-            fault.verdict == Verdict::Problem,
-            "{report}"
-        );
+        let is_problem = fault.verdict == Verdict::Problem;
+        if !is_found(&report, fault)
+            || report.has_problem() != is_problem
+            || is_accused(&report, fault)
+        {
+            missed += &format!("{}\n{report}\n", fault.name);
+        }
     }
+    assert!(missed.is_empty(), "{missed}");
 }
