@@ -24,6 +24,9 @@ const MAX_COORDINATE_M: f64 = 1e6;
 /// Poses further apart in time do not say how the camera moved at a frame, seconds.
 const MAX_GAP_SECS: f64 = 0.2;
 
+/// Poses closer in time say nothing of a velocity: time stamps have microseconds at best.
+const MIN_INTERVAL_SECS: f64 = 1e-6;
+
 /// A camera pose with its timestamp.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct StampedPose {
@@ -165,7 +168,8 @@ impl Trajectory {
 
     /// The camera's velocity at the pose with exactly this timestamp, from the pose before it to the one
     /// after it: a twist `[omega, v]` in its own axes, rad/s and m/s. Neighbours more than
-    /// `max_gap_secs` away do not count; zero if there is no such pose or it stands alone.
+    /// `max_gap_secs` away do not count; zero if there is no such pose, it stands alone, or its
+    /// neighbours are less than a microsecond apart.
     pub fn velocity(&self, timestamp_secs: f64, max_gap_secs: f64) -> Vector6<f64> {
         let is_earlier = |pose: &StampedPose| pose.timestamp_secs < timestamp_secs;
         let index = self.poses.partition_point(is_earlier);
@@ -179,7 +183,7 @@ impl Trajectory {
         let before = index.checked_sub(1).and_then(near).unwrap_or(now);
         let after = near(index + 1).unwrap_or(now);
         let interval = after.timestamp_secs - before.timestamp_secs;
-        if interval > 0.0 {
+        if interval >= MIN_INTERVAL_SECS {
             (before.world_from_camera.inverse() * after.world_from_camera).log() / interval
         } else {
             Vector6::zeros()

@@ -7,7 +7,7 @@ use fgs_data::Dataset;
 use fgs_files::OutputFolder;
 
 use crate::error::RunError;
-use crate::frame_log::{self, FrameRow};
+use crate::frame_log::FrameRow;
 use crate::observer::RunObserver;
 use crate::pictures;
 use crate::recording::open_recording;
@@ -47,7 +47,7 @@ impl FinishedRun {
                 .map_err(|error| RunError::RecordingOfRun(Box::new(error)))
         };
         let dataset = open(&mut settings)?;
-        let rows = frame_log::read(&folder.join(FRAMES))?;
+        let rows = RunResult::read_rows(&folder)?;
         let mut differences = difference(&dataset, &rows, settings.run.dataset_frames);
         if !overridden {
             let mut own = settings.clone();

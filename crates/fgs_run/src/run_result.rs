@@ -34,7 +34,7 @@ impl RunResult {
         let metrics = Metrics::read(folder)?;
         let read_map = |name: &str| fgs_splat::read_ply(&folder.join(name));
         Ok(Self {
-            rows: frame_log::read(&folder.join(FRAMES))?,
+            rows: Self::read_rows(folder)?,
             trajectory: Trajectory::read(&folder.join(TRAJECTORY))?,
             gaussians: read_map(MAP)?,
             refined: match metrics.refined {
@@ -43,6 +43,14 @@ impl RunResult {
             },
             metrics,
         })
+    }
+
+    /// Reads what became of each frame, alone.
+    ///
+    /// # Errors
+    /// If the file is missing or damaged.
+    pub fn read_rows(folder: &RunFolder) -> Result<Vec<FrameRow>, RunError> {
+        frame_log::read(&folder.join(FRAMES))
     }
 
     /// A frame's pose `world_from_camera`, if it has one.
