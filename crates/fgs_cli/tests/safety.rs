@@ -569,6 +569,43 @@ fn a_full_disk_at_every_write() {
     only_out(path);
 }
 
+/// As [`a_full_disk_at_every_write`], of what works on a finished run.
+#[cfg(unix)]
+#[test]
+fn a_full_disk_while_scoring_and_rendering() {
+    let folder = folder_with_recording();
+    let path = folder.path();
+    run_with(path, &["--frames", "..3"], 0);
+    run(path, &["render", "out", "--views", "2"], 0);
+    let before = contents(&path.join("out"));
+    let mut failures = 0;
+    for command in [
+        "eval out",
+        "render out --views 3",
+        "export out --to ply --out new/map.ply",
+    ] {
+        for blocks in [0, 1, 2, 8, 32] {
+            let limited = format!("trap '' XFSZ; ulimit -f {blocks}; exec \"$0\" {command}");
+            let mut shell = Command::new("sh");
+            shell
+                .current_dir(path)
+                .args(["-c", &limited, env!("CARGO_BIN_EXE_fgs")]);
+            let output = finish(shell);
+            if output.status.code() == Some(0) {
+                assert!(blocks > 1, "{command}");
+                continue;
+            }
+            failures += 1;
+            assert_eq!(output.status.code(), Some(1), "{}", stderr(&output));
+            assert!(contents(&path.join("out")) == before, "{command}, {blocks}");
+            assert!(names(&path.join("new")).is_empty(), "{command}, {blocks}");
+        }
+    }
+    assert!(failures >= 8, "{failures}");
+    let _ = fs::remove_dir(path.join("new"));
+    only_out(path);
+}
+
 #[test]
 fn what_is_mistyped_is_a_usage_error() {
     let folder = folder_with_recording();

@@ -24,7 +24,7 @@ use crate::switch::{self, REPLACED};
 pub enum FolderError {
     /// It holds what this program did not write.
     #[error(
-        "{} holds {entry:?}, which fgs did not write: choose another folder, or move that away",
+        "{} holds {entry:?}, which is not among its results: choose another folder, or move that away",
         folder.display()
     )]
     Foreign {
@@ -37,11 +37,11 @@ pub enum FolderError {
     #[error("another fgs is writing to {}", .0.display())]
     Busy(PathBuf),
     /// A whole folder cannot take the place of this one.
-    #[error("{} cannot be replaced, as it is {reason}: choose a folder in it", folder.display())]
+    #[error("{} cannot be replaced as a whole: it is {reason}", folder.display())]
     Fixed {
         /// The folder.
         folder: PathBuf,
-        /// What it is.
+        /// What it is, and what to do.
         reason: &'static str,
     },
     /// The operating system refuses.
@@ -118,10 +118,12 @@ impl OutputFolder {
             return Err(fixed("the root of the file system"));
         };
         if std::env::current_dir().is_ok_and(|current| current.starts_with(&real)) {
-            return Err(fixed("the current folder or one around it"));
+            return Err(fixed(
+                "the current folder or one around it (call fgs from elsewhere)",
+            ));
         }
         if is_mount_point(&real, parent) {
-            return Err(fixed("a mount point"));
+            return Err(fixed("a mount point (name a folder in it)"));
         }
         let lock = Lock::acquire(parent, &name.to_string_lossy()).map_err(io_error)?;
         let lock = lock.ok_or_else(|| FolderError::Busy(folder.into()))?;
