@@ -1,6 +1,10 @@
 //! Replays what fuzzers found, and tries bytes of its own: random, and changed from the corpus.
 
-#![allow(clippy::unwrap_used, reason = "a test may panic, its helpers too")]
+#![allow(
+    clippy::unwrap_used,
+    clippy::print_stderr,
+    reason = "a test may panic and print, its helpers too"
+)]
 
 use std::fs;
 use std::panic::{AssertUnwindSafe, catch_unwind};
