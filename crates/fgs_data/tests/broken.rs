@@ -221,6 +221,21 @@ fn other_messages() -> Vec<(String, &'static str)> {
         ),
         (
             message(replica(3), |dir| {
+                let far = "1 0 0 1e300 0 1 0 0 0 0 1 0 0 0 0 1\n";
+                fs::write(dir.join("room/traj.txt"), far).unwrap();
+            }),
+            "DIR/room/traj.txt:1: 1e300 is out of range",
+        ),
+        (
+            message(replica(3), |dir| {
+                let overflow =
+                    "1 0 0 0 0 1 0 0 0 0 1 0 0 0 0 1\n1e400 0 0 0 0 1 0 0 0 0 1 0 0 0 0 1\n";
+                fs::write(dir.join("room/traj.txt"), overflow).unwrap();
+            }),
+            "DIR/room/traj.txt:2: '1e400' is not a finite number",
+        ),
+        (
+            message(replica(3), |dir| {
                 edit(&dir.join("cam_params.json"), "\"h\"", "\"hh\"")
             }),
             "DIR/room/../cam_params.json: missing field `h` at line 1",

@@ -18,6 +18,10 @@ use std::path::{Path, PathBuf};
 
 use tempfile::{Builder, TempDir};
 
+use contents::UNFINISHED;
+use lock::Lock;
+use output_folder::remove_left_overs;
+
 pub use output_folder::{FolderError, OutputFolder, StagedFolder};
 pub use reading::{BYTE_ORDER_MARK, check_regular, is_present, is_utf16, open_regular, read_text};
 
@@ -53,23 +57,34 @@ pub fn write_file(
 pub struct NewFolder {
     target: PathBuf,
     unfinished: TempDir,
+    _lock: Lock,
 }
 
 impl NewFolder {
     /// Starts a folder that will stand at `target`, whose parent must exist.
     ///
     /// # Errors
-    /// [`io::ErrorKind::AlreadyExists`] if there is something at `target`, or the operating
-    /// system's refusal.
+    /// [`io::ErrorKind::AlreadyExists`] if there is something at `target`,
+    /// [`io::ErrorKind::ResourceBusy`] if another process is making it, or the operating system's
+    /// refusal.
     pub fn begin(target: &Path) -> io::Result<Self> {
         refuse_existing(target)?;
         let (parent, prefix) = place(target)?;
+        let name = target.file_name().unwrap_or_default();
+        let lock =
+            Lock::acquire(parent, &name.to_string_lossy())?.ok_or(io::ErrorKind::ResourceBusy)?;
+        if lock.is_exclusive {
+            remove_left_overs(target, parent, name)?;
+        }
         let mut builder = Builder::new();
         #[cfg(unix)]
         builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o777));
+        let unfinished = builder.prefix(&prefix).suffix(SUFFIX).tempdir_in(parent)?;
+        fs::write(unfinished.path().join(UNFINISHED), "")?;
         Ok(Self {
             target: target.to_owned(),
-            unfinished: builder.prefix(&prefix).suffix(SUFFIX).tempdir_in(parent)?,
+            unfinished,
+            _lock: lock,
         })
     }
 
@@ -86,6 +101,7 @@ impl NewFolder {
     pub fn finish(self) -> io::Result<()> {
         // Renaming would silently replace an empty folder.
         refuse_existing(&self.target)?;
+        fs::remove_file(self.unfinished.path().join(UNFINISHED))?;
         fs::rename(self.unfinished.path(), &self.target)?;
         // It is no longer at its temporary path: nothing is left to remove.
         let _ = self.unfinished.keep();
@@ -256,6 +272,17 @@ mod tests {
         assert_eq!(late.kind(), io::ErrorKind::AlreadyExists);
         let early = NewFolder::begin(&target).unwrap_err();
         assert_eq!(early.kind(), io::ErrorKind::AlreadyExists);
+        // One that was killed left its part.
+        let killed = NewFolder::begin(&parent.path().join("hall")).unwrap();
+        fs::write(killed.path().join("a"), "1").unwrap();
+        let busy = NewFolder::begin(&parent.path().join("hall")).unwrap_err();
+        assert_eq!(busy.kind(), io::ErrorKind::ResourceBusy);
+        let left = parent.path().join("hall.killed.unfinished");
+        fs::create_dir(&left).unwrap();
+        fs::write(left.join(UNFINISHED), "").unwrap();
+        fs::write(left.join("a"), "1").unwrap();
+        drop(killed);
+        drop(NewFolder::begin(&parent.path().join("hall")).unwrap());
         assert_eq!(names(parent.path()), ["room"]);
     }
 }

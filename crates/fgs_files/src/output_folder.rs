@@ -336,7 +336,7 @@ fn remove_replaced(old: &Path) {
 }
 
 /// Removes what killed processes left of a folder, and puts back results that one had set aside.
-fn remove_left_overs(real: &Path, parent: &Path, name: &OsStr) -> io::Result<()> {
+pub(crate) fn remove_left_overs(real: &Path, parent: &Path, name: &OsStr) -> io::Result<()> {
     for entry in fs::read_dir(parent)? {
         let path = entry?.path();
         let is_of = |suffix| crate::is_temporary(&path, name, suffix);

@@ -9,7 +9,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use fgs_data::{Dataset, Trajectory};
 use fgs_eval::{EvalError, ate, depth_error, image_quality, rpe};
-use fgs_geom::{Image, RgbdFrame, Se3, View};
+use fgs_geom::{Camera, Image, RgbdFrame, Se3, View};
 use fgs_splat::{Gaussians, Rasterizer};
 use rayon::prelude::*;
 
@@ -124,8 +124,7 @@ fn score_maps(
     let (Some(first), Some(last)) = (rows.first(), rows.last()) else {
         return Ok(Some(scores));
     };
-    let pixels = dataset.camera().width * dataset.camera().height;
-    let at_once = (PIXELS_AT_ONCE / pixels).clamp(1, FRAMES_AT_ONCE);
+    let at_once = frames_at_once(dataset.camera());
     let mut frames = dataset.frames(first.index..last.index + 1).zip(rows);
     let mut done = 0;
     while done < rows.len() {
@@ -164,6 +163,11 @@ fn score_maps(
     Ok(Some(scores))
 }
 
+/// As many as cores can use and memory affords.
+fn frames_at_once(camera: &Camera) -> usize {
+    (PIXELS_AT_ONCE / (camera.width * camera.height)).clamp(1, FRAMES_AT_ONCE)
+}
+
 /// Takes over the scores that there are.
 fn set_scores(rows: &mut [FrameRow], scores: Option<RowScores>) {
     for (row, scores) in rows.iter_mut().zip(scores.into_iter().flatten()) {
@@ -197,4 +201,20 @@ fn score_frame(
         )?,
         depth: depth_error(&depth_m, &rendered.alpha, &frame.depth_m)?,
     }))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn large_frames_are_scored_one_by_one() {
+        let at_once = |width: usize, height: usize| {
+            frames_at_once(&fgs_synth::kinect_camera(width, height).unwrap())
+        };
+        assert_eq!(at_once(640, 480), 16);
+        assert_eq!(at_once(1920, 1080), 2);
+        assert_eq!(at_once(4000, 3000), 1);
+        assert_eq!(at_once(10_000, 10_000), 1);
+    }
 }

@@ -146,8 +146,8 @@ fn nothing_stays_of_a_stopped_or_failed_recording() {
     let stop = |frames| {
         assert_eq!(
             fs::read_dir(parent.path()).unwrap().count(),
-            1,
-            "work goes on beside it"
+            2,
+            "work goes on beside it, under a lock"
         );
         if frames == 2 {
             ControlFlow::Break(())
