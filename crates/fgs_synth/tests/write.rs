@@ -165,7 +165,10 @@ fn nothing_stays_of_a_stopped_or_failed_recording() {
     // The folder is deleted while the export is running.
     let sabotage = |_| {
         for entry in fs::read_dir(parent.path()).unwrap() {
-            fs::remove_dir_all(entry.unwrap().path()).unwrap();
+            let path = entry.unwrap().path();
+            if path.is_dir() {
+                fs::remove_dir_all(path).unwrap();
+            }
         }
         ControlFlow::Continue(())
     };
