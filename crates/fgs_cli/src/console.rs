@@ -1,7 +1,7 @@
 //! Output: text and progress bars for people, or one JSON object per line for machines.
 //!
-//! Results go to stdout, progress and warnings to stderr. That stdout's reader has gone away does not
-//! end the work.
+//! Results go to stdout, progress and warnings to stderr. That the reader of either has gone away does
+//! not end the work.
 
 use std::fmt::Display;
 use std::io::Write;
@@ -83,15 +83,49 @@ impl Warnings {
     pub fn warn(&mut self, bar: &ProgressBar, message: impl Display) {
         self.count += 1;
         if self.count <= MAX_WARNINGS {
-            bar.suspend(|| eprintln!("warning: {message}"));
+            bar.suspend(|| complain(format_args!("warning: {message}")));
         }
         if self.count == MAX_WARNINGS {
-            bar.suspend(|| eprintln!("warning: further warnings like this are only counted"));
+            bar.suspend(|| complain("warning: further warnings like this are only counted"));
         }
     }
 }
 
+/// Prints a line to stderr.
+pub fn complain(text: impl Display) {
+    // `eprintln!` would panic where nobody reads, and take the run with it; lints forbid it.
+    let _ = writeln!(std::io::stderr().lock(), "{}", escaped(&text.to_string()));
+}
+
 fn print_line(text: impl Display) {
-    // `println!` would panic on a closed pipe and take the run with it.
-    let _ = writeln!(std::io::stdout().lock(), "{text}");
+    let _ = writeln!(std::io::stdout().lock(), "{}", escaped(&text.to_string()));
+}
+
+/// Text that may hold parts of files: what would move a terminal's cursor or turn its text round is shown
+/// instead.
+fn escaped(text: &str) -> String {
+    let is_harmless = |c: char| {
+        c == '\n'
+            || !(c.is_control() || matches!(c, '\u{202a}'..='\u{202e}' | '\u{2066}'..='\u{2069}'))
+    };
+    let mut shown = String::with_capacity(text.len());
+    for c in text.chars() {
+        if is_harmless(c) {
+            shown.push(c);
+        } else {
+            shown.extend(c.escape_default());
+        }
+    }
+    shown
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn text_of_files_does_nothing_to_a_terminal() {
+        assert_eq!(escaped("a\u{1b}[31mb\rc\td"), "a\\u{1b}[31mb\\rc\\td");
+        assert_eq!(escaped("ä\n\u{202e}x"), "ä\n\\u{202e}x");
+    }
 }

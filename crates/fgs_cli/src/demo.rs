@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use clap::Args;
-use fgs_run::{Backend, Plan, RunFolder, RunOptions, Settings};
+use fgs_run::{Backend, Plan, RunOptions, Settings};
 use fgs_slam::Execution;
 use fgs_synth::{FRAMES_PER_LOOP, SensorModel, Sequence, kinect_camera};
 
@@ -24,7 +24,7 @@ const SEED: u64 = 1;
 /// and compares both with the ground truth. Takes a few minutes on two cores.
 #[derive(Debug, Args)]
 pub struct DemoArgs {
-    /// Folder for the recording and the results [default: the first free of runs/demo, runs/demo-2, ...]
+    /// Folder for the recording and, in run/, the results [default: the first free of runs/demo, runs/demo-2, ...]
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
     /// Where the map is optimised
@@ -48,10 +48,7 @@ pub fn run(args: &DemoArgs) -> anyhow::Result<u8> {
             .model(&settings.mapping, cache.as_deref())
             .map_err(explain)?;
     }
-    let folder = match &args.out {
-        Some(path) => RunFolder::create(path)?,
-        None => RunFolder::create_new(Path::new("runs"), "demo")?,
-    };
+    let folder = args.out.clone().unwrap_or_else(first_free);
     args.threads.apply()?;
     let stop = interrupt::stop_flag()?;
 
@@ -66,7 +63,7 @@ pub fn run(args: &DemoArgs) -> anyhow::Result<u8> {
         dataset: recording,
         execution: Some(Execution::Lockstep),
         backend: Some(args.backend),
-        out: Some(folder.path().to_owned()),
+        out: Some(folder.join("run")),
         evaluate: true,
         pipeline_cache: pipeline_cache::folder(),
         command: Some(command_line()),
@@ -77,4 +74,15 @@ pub fn run(args: &DemoArgs) -> anyhow::Result<u8> {
     let out = plan.folder.path().display();
     console.say(format!("\nLook at {out}/pictures (camera on the left, map on the right), or try\n  fgs render {out} --fly-through"));
     Ok(exit_code)
+}
+
+/// The first of `runs/demo`, `runs/demo-2`, ... that does not exist.
+fn first_free() -> PathBuf {
+    let mut path = Path::new("runs/demo").to_owned();
+    let mut number = 2_u32;
+    while path.symlink_metadata().is_ok() {
+        path = Path::new("runs").join(format!("demo-{number}"));
+        number += 1;
+    }
+    path
 }

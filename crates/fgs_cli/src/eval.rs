@@ -10,6 +10,7 @@ use crate::console::Console;
 use crate::failure::{EXIT_DONE, EXIT_INTERRUPTED, explain};
 use crate::interrupt;
 use crate::progress::Progress;
+use crate::run::warn_of_poses;
 use crate::threads::Threads;
 
 /// Score the results of a finished run
@@ -53,6 +54,7 @@ What the scores mean (those of images are means over the tracked frames):"
 pub fn run(args: &EvalArgs) -> anyhow::Result<u8> {
     let console = Console::new(args.json);
     let finished = FinishedRun::open(&args.run, args.dataset.as_deref()).map_err(explain)?;
+    warn_of_poses(finished.dataset());
     args.threads.apply()?;
     let stop = interrupt::stop_flag()?;
     let mut progress = Progress::new(0, console);

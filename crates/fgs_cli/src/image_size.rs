@@ -2,6 +2,9 @@
 
 use std::str::FromStr;
 
+/// An image of 8K: rendering it takes less than 2 GB.
+const MAX_PIXELS: usize = 7680 * 4320;
+
 /// Columns and rows.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ImageSize {
@@ -21,7 +24,13 @@ impl FromStr for ImageSize {
                 height: height.parse().ok()?,
             })
         });
-        size.ok_or_else(|| format!("'{text}' is not a size such as 640x480"))
+        let size = size.ok_or_else(|| format!("'{text}' is not a size such as 640x480"))?;
+        match size.width.checked_mul(size.height) {
+            Some(pixels) if pixels <= MAX_PIXELS => Ok(size),
+            _ => Err(format!(
+                "{text} is too large: at most {MAX_PIXELS} pixels fit the memory, 7680x4320"
+            )),
+        }
     }
 }
 
@@ -38,6 +47,11 @@ mod tests {
         assert_eq!("640x480".parse(), Ok(size));
         for text in ["640", "640x", "x480", "640x480x3", "-1x5", "6.0x5"] {
             assert!(text.parse::<ImageSize>().is_err(), "{text}");
+        }
+        assert!("7680x4320".parse::<ImageSize>().is_ok());
+        for text in ["65536x65536", "18446744073709551615x2", "7681x4320"] {
+            let refusal = text.parse::<ImageSize>().unwrap_err();
+            assert!(refusal.contains("at most 33177600 pixels"), "{refusal}");
         }
     }
 }

@@ -6,6 +6,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use anyhow::Context;
 
+use crate::console::complain;
 use crate::failure::EXIT_INTERRUPTED;
 
 /// The flag that the first Ctrl-C (or SIGTERM) sets. Call it once.
@@ -16,7 +17,7 @@ pub fn stop_flag() -> anyhow::Result<Arc<AtomicBool>> {
         if handler.swap(true, Ordering::Relaxed) {
             process::exit(EXIT_INTERRUPTED.into());
         }
-        eprintln!("stopping: the results so far are saved (Ctrl-C again to quit without)");
+        complain("stopping: the results so far are saved (Ctrl-C again to quit without)");
     })
     .context("cannot listen for Ctrl-C")?;
     Ok(stop)

@@ -66,7 +66,7 @@ fn main() -> ExitCode {
     vulkan_layer::leave_out_without_desktop();
     let cli = Cli::parse();
     if let Some(Err(error)) = cli.instructions.map(Instructions::choose) {
-        eprintln!("error: {error}");
+        console::complain(format_args!("error: {error}"));
         return failure::EXIT_USAGE.into();
     }
     let outcome = match cli.command {
@@ -82,7 +82,7 @@ fn main() -> ExitCode {
     match outcome {
         Ok(exit_code) => exit_code.into(),
         Err(error) => {
-            eprintln!("error: {}", failure::message(&error));
+            console::complain(format_args!("error: {}", failure::message(&error)));
             failure::exit_code(&error).into()
         }
     }

@@ -1,18 +1,21 @@
 //! `fgs render`: pictures of a map, from the camera's poses or along a smooth path.
 
+use std::io;
 use std::path::{Path, PathBuf};
+use std::sync::atomic::Ordering;
 
-use anyhow::Context;
+use anyhow::{Context, bail};
 use clap::Args;
 use fgs_data::Trajectory;
 use fgs_geom::{Camera, CameraError, Intrinsics, Se3, View};
-use fgs_run::{CONFIG, MAP, RunFolder, Settings, TRAJECTORY, png_bytes, write_png};
+use fgs_run::{CONFIG, MAP, OutputFolder, RunError, Settings, TRAJECTORY, png_bytes, write_png};
 use fgs_splat::Rasterizer;
 
 use crate::console::Console;
-use crate::failure::{EXIT_DONE, UsageError};
+use crate::failure::{EXIT_DONE, EXIT_INTERRUPTED, UsageError};
 use crate::fly_through::fly_through;
 use crate::image_size::ImageSize;
+use crate::interrupt;
 use crate::threads::Threads;
 
 /// Field of view for maps without a camera, degrees: about that of a depth sensor.
@@ -79,14 +82,22 @@ pub fn run(args: &RenderArgs) -> anyhow::Result<u8> {
         .unwrap_or_else(|| folder.join(TRAJECTORY));
     let trajectory = Trajectory::read(&trajectory)
         .context("no poses to render from (--trajectory FILE gives them)")?;
+    if trajectory.poses().is_empty() {
+        bail!("there are no poses to render from (--trajectory FILE gives others)");
+    }
     let gaussians = fgs_splat::read_ply(&map)?;
+    if gaussians.is_empty() {
+        bail!("{} is empty: there is nothing to render", map.display());
+    }
     let default_out = folder.join(if args.fly_through {
         "fly-through"
     } else {
         "views"
     });
-    let out = RunFolder::create(args.out.as_ref().unwrap_or(&default_out))?;
+    let out = OutputFolder::claim(args.out.as_ref().unwrap_or(&default_out));
+    let out = out.map_err(RunError::from)?;
     args.threads.apply()?;
+    let stop = interrupt::stop_flag()?;
 
     let poses: Vec<Se3> = trajectory
         .poses()
@@ -100,20 +111,43 @@ pub fn run(args: &RenderArgs) -> anyhow::Result<u8> {
         spread(&poses, views)
     };
     let bar = Console::People.progress(path.len(), "views");
+    let pictures = out
+        .begin()
+        .map_err(|error| cannot_write(out.path(), error))?;
     let mut rasterizer = Rasterizer::default();
+    let mut count = 0;
     for (i, pose) in path.iter().enumerate() {
+        if stop.load(Ordering::Relaxed) {
+            break;
+        }
         let view = View {
             camera,
             world_from_camera: *pose,
         };
         let pass = rasterizer.render(&gaussians, &view);
         let picture = png_bytes(&pass.rendered().color);
-        out.write(&format!("{i:06}.png"), |file| write_png(&picture, file))?;
+        let name = format!("{i:06}.png");
+        pictures
+            .write(&name, |file| write_png(&picture, file))
+            .map_err(|error| cannot_write(&pictures.shown(&name), error))?;
+        count += 1;
         bar.inc(1);
     }
     bar.finish_and_clear();
-    Console::People.say(format!("{}: {} pictures", out.path().display(), path.len()));
-    Ok(EXIT_DONE)
+    pictures.finish().map_err(RunError::from)?;
+    Console::People.say(format!("{}: {count} pictures", out.path().display()));
+    Ok(if count < path.len() {
+        EXIT_INTERRUPTED
+    } else {
+        EXIT_DONE
+    })
+}
+
+fn cannot_write(path: &Path, source: io::Error) -> RunError {
+    RunError::Write {
+        path: path.into(),
+        source,
+    }
 }
 
 /// At most `count` of the poses, evenly spread, including the first and the last.
@@ -141,10 +175,30 @@ fn camera(args: &RenderArgs, folder: &Path) -> anyhow::Result<Camera> {
     });
     let size = args.size.or(of_recorded).unwrap_or(DEFAULT_SIZE);
     match (recorded, args.fov) {
-        (Some(camera), None) => resized(&camera, size).map_err(usage),
-        (_, fov) => with_fov(size, fov.unwrap_or(DEFAULT_FOV_DEG)).map_err(usage),
+        (Some(camera), None) => Ok(resized(&camera, size).map_err(usage)?),
+        (_, fov) => {
+            let fov_deg = fov.unwrap_or(DEFAULT_FOV_DEG);
+            let refusal = |_| {
+                let [least, most] = possible_fovs_deg(size);
+                let ImageSize { width, height } = size;
+                UsageError(format!(
+                    "--fov {fov_deg}: pictures of {width}x{height} can show {least:.1} to {most:.1} degrees"
+                ))
+            };
+            Ok(with_fov(size, fov_deg).map_err(refusal)?)
+        }
     }
-    .map_err(Into::into)
+}
+
+/// The narrowest and the widest field of view that [`Camera::new`] accepts, inward to a tenth of a
+/// degree.
+fn possible_fovs_deg(size: ImageSize) -> [f64; 2] {
+    let tenths = |tan: f64| 20.0 * tan.atan().to_degrees();
+    let half_width = 0.5 * size.width as f64 / size.width.max(size.height) as f64;
+    [
+        0.1 * tenths(half_width / 100.0).ceil(),
+        0.1 * tenths(half_width / 0.1).floor(),
+    ]
 }
 
 /// The same horizontal field of view at another size.
@@ -186,6 +240,11 @@ mod tests {
         for fov in [0.0, 180.0, -60.0, f64::NAN] {
             assert!(with_fov(SIZE, fov).is_err(), "{fov}");
         }
+        for fov in possible_fovs_deg(SIZE) {
+            with_fov(SIZE, fov).unwrap();
+        }
+        let [least, most] = possible_fovs_deg(SIZE);
+        assert!(with_fov(SIZE, least - 0.1).is_err() && with_fov(SIZE, most + 0.1).is_err());
     }
 
     #[test]

@@ -5,11 +5,12 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use anyhow::bail;
 use clap::Args;
+use fgs_data::Dataset;
 use fgs_run::{Backend, FrameRange, KnownMap, Model, Plan, RunOptions, RunResult};
-use fgs_slam::{Execution, Holdout};
+use fgs_slam::{Execution, FrameStatus, Holdout};
 use serde_json::json;
 
-use crate::console::Console;
+use crate::console::{Console, complain};
 use crate::failure::{EXIT_DONE, EXIT_INTERRUPTED, explain};
 use crate::progress::Progress;
 use crate::threads::Threads;
@@ -53,7 +54,7 @@ frames.csv, map.ply, config.effective.toml, pictures/. Results already in --out 
 run has ended. map.ply is the map at the last frame; --refine leaves it as it is and adds refined.ply,
 with scores of its own (`refined` in metrics.json).
 
-Maps: --checkpoint-every leaves a folder map/ in the results, which holds all that a later run needs.
+Maps: --checkpoint-every leaves a folder NAME.map beside the results' NAME, which holds all that a later run needs.
 --resume goes on with the same recording, in lockstep with the same results as if nothing had happened.
 --map starts another recording of the same place, of the same camera, in the map's coordinates; with
 --localize-only the map stays as it is. Settings are the map's unless --config is given.
@@ -109,7 +110,7 @@ pub struct RunArgs {
     /// After the last frame, optimise the map by N more steps with all keyframes alike; the result is
     /// saved and scored beside the map as it was
     #[arg(long, value_name = "N")]
-    refine: Option<usize>,
+    refine: Option<u32>,
     /// Render and score every frame at the end (PSNR, SSIM, depth)
     #[arg(long)]
     eval: bool,
@@ -143,7 +144,7 @@ pub fn run(args: &RunArgs) -> anyhow::Result<u8> {
         execution: args.mode,
         backend: args.backend,
         frames: args.frames,
-        refine: args.refine,
+        refine: args.refine.map(|steps| steps as usize),
         eval_holdout: args.eval_holdout,
         out: args.out.clone(),
         evaluate: args.eval,
@@ -156,9 +157,11 @@ pub fn run(args: &RunArgs) -> anyhow::Result<u8> {
     execute(&plan, model, Console::new(args.json), &stop)
 }
 
-/// The command line as typed.
+/// The command line as typed; what is not UTF-8 is shown as far as it can be.
 pub fn command_line() -> String {
-    std::env::args().collect::<Vec<_>>().join(" ")
+    let words: Vec<_> = std::env::args_os().collect();
+    let words = words.iter().map(|word| word.to_string_lossy());
+    words.collect::<Vec<_>>().join(" ")
 }
 
 /// Does what was planned and reports on it; returns the exit code.
@@ -191,13 +194,13 @@ fn announce(plan: &Plan, model: &Model, console: Console) {
     console.event(
         "start",
         json!({
-            "dataset": plan.dataset_path,
+            "dataset": plan.dataset_path.to_string_lossy(),
             "format": format,
             "frames": plan.frames_left(),
             "width": camera.width,
             "height": camera.height,
             "backend": model.name,
-            "out": out,
+            "out": out.to_string_lossy(),
         }),
     );
     console.say(format!(
@@ -209,6 +212,16 @@ fn announce(plan: &Plan, model: &Model, console: Console) {
         camera.height
     ));
     console.say(format!("computing on {model}"));
+    warn_of_poses(&plan.dataset);
+}
+
+/// Says so if the recording's poses cannot be used.
+pub fn warn_of_poses(dataset: &Dataset) {
+    if let Some(error) = dataset.ground_truth_error() {
+        complain(format_args!(
+            "warning: the recording's poses are left out: {error}"
+        ));
+    }
 }
 
 fn report(plan: &Plan, result: &RunResult, console: Console) -> anyhow::Result<()> {
@@ -222,6 +235,22 @@ fn report(plan: &Plan, result: &RunResult, console: Console) -> anyhow::Result<(
             None => format!("at frame {}", result.rows.last().map_or(0, |row| row.index)),
         };
         bail!("the run ended early, {place}: {failure}; the results so far are in {folder}");
+    }
+    let mut seen = result
+        .rows
+        .iter()
+        .filter(|row| row.points.is_some())
+        .peekable();
+    if seen.peek().is_some() && seen.all(|row| row.status == FrameStatus::Lost) {
+        let cause = if result.rows.iter().all(|row| row.points.unwrap_or(0) == 0) {
+            "no surface is seen; is depth missing, further away than tracking.max_depth_m, or depth_scale wrong?"
+        } else {
+            "no frame fits another; do depth_scale and the focal lengths fit the images?"
+        };
+        let dataset = plan.dataset_path.display();
+        bail!(
+            "the camera was lost in every frame: {cause} `fgs doctor {dataset}` looks for the cause"
+        );
     }
     Ok(())
 }

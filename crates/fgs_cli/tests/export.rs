@@ -136,7 +136,7 @@ fn what_is_there_stays() {
     assert_eq!(names(&path.join("set")), [""; 0]);
     fs::rename(path.join("room"), path.join("moved")).unwrap();
     let to_set = ["runs/room", "--to", "nerfstudio", "--out", "a/new"];
-    refuse(path, &to_set, 1, "--dataset DIR");
+    refuse(path, &to_set, 2, "--dataset DIR");
     run(
         path,
         &[&["export"], to_set.as_slice(), &["--dataset", "moved"]].concat(),

@@ -109,7 +109,7 @@ fn a_run_that_is_killed_again_and_again_ends_with_the_same_bytes() {
     run(&path, &[&resume[..], &["--threads", "1"]].concat(), 0);
     assert_same_results(&path, "cut");
     // Nothing is left of what the killed runs were writing.
-    let files = names(&path.join("cut/map"));
+    let files = names(&path.join("cut.map"));
     let states = files.iter().filter(|name| name.starts_with("0-state-"));
     assert_eq!(states.count(), 1, "{files:?}");
     assert!(
@@ -117,7 +117,7 @@ fn a_run_that_is_killed_again_and_again_ends_with_the_same_bytes() {
         "{files:?}"
     );
     // There is nothing left to do but the end.
-    run(&path, &["run", "room", "--resume", "cut/map"], 0);
+    run(&path, &["run", "room", "--resume", "cut.map"], 0);
     assert_same_results(&path, "cut");
 }
 
@@ -187,7 +187,7 @@ fn what_cannot_go_on_is_refused() {
         "goes beyond the recording",
     );
 
-    let map = path.join("a/map");
+    let map = path.join("a.map");
     for name in names(&map) {
         let file = map.join(&name);
         let whole = fs::read(&file).unwrap();
@@ -228,7 +228,7 @@ fn a_camera_finds_itself_in_a_map_and_extends_it() {
             .map(|name| fs::read(path.join(folder).join(name)).unwrap())
             .collect::<Vec<_>>()
     };
-    let before = files("a/map");
+    let before = files("a.map");
     let only = [
         "run",
         "room",
@@ -239,7 +239,7 @@ fn a_camera_finds_itself_in_a_map_and_extends_it() {
         "only",
     ];
     run(path, &[&only[..], &["--backend", "cpu"]].concat(), 0);
-    assert!(files("a/map") == before);
+    assert!(files("a.map") == before);
     let only = path.join("only");
     assert_eq!(metrics(&only)["iterations"], 0);
     let statuses: Vec<String> = rows(&only)
@@ -266,7 +266,7 @@ fn a_camera_finds_itself_in_a_map_and_extends_it() {
         "b",
     ];
     run(path, &[&extend[..], &["--backend", "cpu"]].concat(), 0);
-    assert!(files("a/map") == before);
+    assert!(files("a.map") == before);
     let keyframes = |folder: &str| {
         let names = names(&path.join(folder));
         names
@@ -274,7 +274,7 @@ fn a_camera_finds_itself_in_a_map_and_extends_it() {
             .filter(|name| name.contains("keyframe"))
             .count()
     };
-    assert!(keyframes("b/map") > keyframes("a/map"));
+    assert!(keyframes("b.map") > keyframes("a.map"));
     let settings = fs::read_to_string(path.join("b/config.effective.toml")).unwrap();
     assert!(settings.contains("iterations_per_frame = 3"), "{settings}");
     run(path, &["run", "--resume", "b"], 0);

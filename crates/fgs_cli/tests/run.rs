@@ -13,7 +13,8 @@ use common::{
 };
 use serde_json::Value;
 
-const FILES: [&str; 6] = [
+const FILES: [&str; 7] = [
+    ".fgs-files",
     "config.effective.toml",
     "frames.csv",
     "map.ply",
@@ -131,7 +132,7 @@ fn runs_repeat_and_can_be_scored_and_rendered() {
         assert_eq!(metrics["frames"], FRAMES);
         assert_eq!(metrics["frames_lost"], 0);
         assert_eq!(metrics["lpips"], Value::Null);
-        assert_eq!(metrics["dataset"], "room");
+        assert_eq!(metrics["dataset"], "../../room");
         assert_eq!(metrics["mode"], "lockstep");
         assert_eq!(metrics["backend"], "CPU");
         assert_eq!(metrics["failure"], Value::Null);
@@ -206,7 +207,8 @@ fn runs_repeat_and_can_be_scored_and_rendered() {
     assert_same_bytes(&first, &path.join("again"));
     let config = |run: &str| {
         let text = fs::read_to_string(path.join(run).join("config.effective.toml")).unwrap();
-        let lines = text.lines().filter(|line| !line.starts_with("command ="));
+        let differs = |line: &str| line.starts_with("command =") || line.starts_with("dataset =");
+        let lines = text.lines().filter(|line| !differs(line));
         lines.map(str::to_owned).collect::<Vec<_>>()
     };
     assert_eq!(config("runs/room"), config("again"));
@@ -225,9 +227,9 @@ fn runs_repeat_and_can_be_scored_and_rendered() {
     run(path, &[fly.as_slice(), &size].concat(), 0);
     assert_eq!(
         names(&first.join("views")),
-        ["000000.png", "000001.png", "000002.png"]
+        [".fgs-files", "000000.png", "000001.png", "000002.png"]
     );
-    assert_eq!(names(&path.join("film")).len(), 4);
+    assert_eq!(names(&path.join("film")).len(), 5);
     let picture = image::open(path.join("film/000000.png")).unwrap();
     assert_eq!((picture.width(), picture.height()), (80, 40));
     // The first view shows the first frame.
@@ -407,7 +409,7 @@ fn a_covered_lens_is_lost_not_invented() {
 }
 
 #[test]
-fn a_run_that_never_sees_anything_ends_well() {
+fn a_run_that_never_sees_anything_says_so() {
     let folder = folder_with_recording();
     let path = folder.path();
     for index in 0..FRAMES {
@@ -416,7 +418,19 @@ fn a_run_that_never_sees_anything_ends_well() {
             .save(depth)
             .unwrap();
     }
-    run(path, &["run", "room", "--eval"], 0);
+    let message = stderr(&run(path, &["run", "room", "--eval"], 1));
+    for part in ["lost in every frame", "no surface", "fgs doctor room"] {
+        assert!(message.contains(part), "{message}");
+    }
+    let message = stderr(&run(path, &["render", "runs/room"], 1));
+    assert!(message.contains("no poses"), "{message}");
+    let poses = ["--trajectory", "room/groundtruth.txt"];
+    let message = stderr(&run(
+        path,
+        &[&["render", "runs/room"], poses.as_slice()].concat(),
+        1,
+    ));
+    assert!(message.contains("is empty"), "{message}");
     let run = path.join("runs/room");
     assert_strict_trajectory(&run, 0);
     let metrics = metrics(&run);

@@ -4,15 +4,13 @@
 //! A [`CameraFile`] is validated on construction, whatever its source, so the rest of the code can
 //! rely on it.
 
-use std::fs::File;
-use std::io::Read;
 use std::ops::Range;
 use std::path::Path;
 
 use fgs_geom::{Camera, CameraError, DepthSensor, Distortion, Intrinsics, Se3};
 use serde::{Deserialize, Serialize};
 
-use crate::DataError;
+use crate::{DataError, plain_words};
 
 /// A camera file is seven numbers; this leaves room for comments.
 const MAX_FILE_BYTES: u64 = 64 * 1024;
@@ -175,7 +173,7 @@ impl CameraFile {
         let keys: Keys = parse().map_err(|error| DataError::CameraFile {
             path: path.into(),
             line: error.span().and_then(|span| line_of(text, span)),
-            message: error.message().replace('\n', " "),
+            message: plain_words(&error.message().replace('\n', " ")),
         })?;
         keys.checked(path)
     }
@@ -187,7 +185,7 @@ impl CameraFile {
             DataError::CameraFile {
                 path: path.into(),
                 line: None, // the message has it
-                message: error.to_string(),
+                message: plain_words(&error.to_string()),
             }
         })?;
         let ReplicaKeys {
@@ -334,14 +332,10 @@ fn line_of(text: &str, span: Range<usize>) -> Option<usize> {
 }
 
 fn read_small_file(path: &Path) -> Result<String, DataError> {
-    let mut text = String::new();
-    File::open(path)
-        .and_then(|file| file.take(MAX_FILE_BYTES).read_to_string(&mut text))
-        .map_err(|source| DataError::Io {
-            path: path.into(),
-            source,
-        })?;
-    Ok(text)
+    fgs_files::read_text(path, MAX_FILE_BYTES).map_err(|source| DataError::Io {
+        path: path.into(),
+        source,
+    })
 }
 
 #[cfg(test)]

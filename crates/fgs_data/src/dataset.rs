@@ -6,6 +6,7 @@ use std::ops::Range;
 use std::path::Path;
 use std::sync::Arc;
 
+use fgs_files::is_present;
 use fgs_geom::{Camera, RgbdFrame};
 
 use crate::formats::FrameFiles;
@@ -38,7 +39,7 @@ pub struct Dataset {
     format: Format,
     loader: Arc<FrameLoader>,
     camera_file: CameraFile,
-    ground_truth: Option<Trajectory>,
+    ground_truth: Result<Option<Trajectory>, DataError>,
 }
 
 impl Dataset {
@@ -47,8 +48,8 @@ impl Dataset {
     /// or its parent.
     ///
     /// # Errors
-    /// If the layout is unknown, a list or pose file is malformed or inconsistent with another, or
-    /// no camera is found. Damaged images are only noticed when their frame is read.
+    /// If the layout is unknown, a list is malformed or inconsistent with another, or no camera is
+    /// found. Damaged images are only noticed when their frame is read.
     pub fn open(path: &Path, options: &OpenOptions) -> Result<Self, DataError> {
         let format = Format::of(path)?;
         let recording = format.list(path, options.max_time_difference_secs)?;
@@ -104,7 +105,12 @@ impl Dataset {
     /// Ground-truth poses, at exactly the timestamps of their frames (see [`Trajectory::at`]). Some
     /// frames may lack one; `None` if all do.
     pub fn ground_truth(&self) -> Option<&Trajectory> {
-        self.ground_truth.as_ref()
+        self.ground_truth.as_ref().ok()?.as_ref()
+    }
+
+    /// Why the recording's poses cannot be used, if it has any. Everything else can.
+    pub fn ground_truth_error(&self) -> Option<&DataError> {
+        self.ground_truth.as_ref().err()
     }
 
     /// Reads one frame.
@@ -130,13 +136,13 @@ fn find_camera(
     frames: &[FrameFiles],
 ) -> Result<CameraFile, DataError> {
     let path = folder.join("camera.toml");
-    if path.exists() {
+    if is_present(&path) {
         return CameraFile::read(&path);
     }
     if format == Format::Replica {
         for place in [folder.to_path_buf(), folder.join("..")] {
             let path = place.join("cam_params.json");
-            if path.exists() {
+            if is_present(&path) {
                 return CameraFile::read_replica(&path);
             }
         }

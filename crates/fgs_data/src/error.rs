@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use fgs_geom::{CameraError, FrameError};
+use fgs_geom::{CameraError, FrameError, Number};
 use thiserror::Error;
 
 /// Why a recording, a frame, a camera file or a trajectory file cannot be used.
@@ -17,6 +17,9 @@ pub enum DataError {
         /// Why.
         source: std::io::Error,
     },
+    /// The path of a recording leads nowhere.
+    #[error("{} does not exist", .0.display())]
+    NoSuchFolder(PathBuf),
     /// The path of a recording is not a folder.
     #[error("{} is not a folder", .0.display())]
     NotAFolder(PathBuf),
@@ -70,6 +73,14 @@ pub enum DataError {
         color: PathBuf,
         /// The file that should be there.
         depth: PathBuf,
+    },
+    /// An image whose number no image of the other kind has.
+    #[error("{} has no partner: no image in {} has its number", image.display(), folder.display())]
+    NoPartner {
+        /// The image.
+        image: PathBuf,
+        /// The folder of the other kind.
+        folder: PathBuf,
     },
     /// Two lists that should correspond one to one differ in length.
     #[error("{} holds {count}, but {} holds {other_count}", path.display(), other.display())]
@@ -130,6 +141,17 @@ pub enum DataError {
     /// A JPEG file that ends before its last pixel.
     #[error("{}: the JPEG image is cut short", .0.display())]
     Truncated(PathBuf),
+    /// An image whose name is not UTF-8.
+    #[error("{:?}: the file's name is not UTF-8: rename it", .0)]
+    NotUtf8(PathBuf),
+    /// A text file longer than any of its kind.
+    #[error("{} is longer than {max_bytes} bytes", path.display())]
+    FileTooLong {
+        /// The file.
+        path: PathBuf,
+        /// The most that is read.
+        max_bytes: u64,
+    },
     /// A file too large to be an image.
     #[error("{} is no image: it has more than {max_bytes} bytes", path.display())]
     FileSize {
@@ -204,6 +226,25 @@ pub enum DataError {
     DecoderPanicked(usize),
 }
 
+impl DataError {
+    /// Whether something else has to be named, or a camera file written: trying again without that is
+    /// pointless.
+    pub fn is_usage(&self) -> bool {
+        match self {
+            Self::CameraFile { .. }
+            | Self::Camera { .. }
+            | Self::NoCamera { .. }
+            | Self::NoSuchFolder(_)
+            | Self::NotAFolder(_)
+            | Self::NotUtf8(_)
+            | Self::UnknownFormat(_) => true,
+            Self::Line { fault, .. } => *fault == LineFault::Utf16,
+            Self::Io { source, .. } => source.kind() == std::io::ErrorKind::InvalidInput,
+            _ => false,
+        }
+    }
+}
+
 /// What is wrong with a line of a text file, or with a pose.
 #[derive(Clone, Debug, Error, PartialEq)]
 #[non_exhaustive]
@@ -211,6 +252,9 @@ pub enum LineFault {
     /// Longer than any line of these formats can be.
     #[error("the line is longer than {0} bytes")]
     TooLong(usize),
+    /// Two bytes a character.
+    #[error("the file is UTF-16 text: save it as UTF-8")]
+    Utf16,
     /// Not UTF-8.
     #[error("the line is not text")]
     NotText,
@@ -226,7 +270,7 @@ pub enum LineFault {
     #[error("'{0}' is not a finite number")]
     NotANumber(String),
     /// A timestamp not later than the previous one.
-    #[error("time stamp {current} does not come after {previous}")]
+    #[error("time stamp {} does not come after {}", Number(*.current), Number(*.previous))]
     NotIncreasing {
         /// The previous timestamp, seconds.
         previous: f64,
@@ -234,15 +278,23 @@ pub enum LineFault {
         current: f64,
     },
     /// A quaternion whose length is not 1.
-    #[error("the quaternion's length is {0}, not 1")]
+    #[error("the quaternion's length is {}, not 1", Number(*.0))]
     Quaternion(f64),
     /// A matrix that is not a rigid transform.
     #[error("the matrix is no rigid transform: a rotation, a translation, and 0 0 0 1 below")]
     Matrix,
     /// A position or timestamp that is implausibly large or not finite.
-    #[error("{0} is out of range")]
+    #[error("{} is out of range", Number(*.0))]
     OutOfRange(f64),
     /// A listed file that does not exist.
     #[error("{} does not exist", .0.display())]
     AbsentFile(PathBuf),
+    /// What is listed is no file.
+    #[error("{} {what}", path.display())]
+    NotAFile {
+        /// The path.
+        path: PathBuf,
+        /// What it is.
+        what: String,
+    },
 }

@@ -3,7 +3,6 @@
 //! Size and pixel type are checked before any pixel is decoded, so that memory is bounded by the
 //! camera's size, whatever the file's header claims.
 
-use std::fs::File;
 use std::io::{Cursor, Read};
 use std::path::Path;
 
@@ -72,7 +71,7 @@ fn open(path: &Path) -> Result<ImageReader<Cursor<Vec<u8>>>, DataError> {
         source,
     };
     let read = || {
-        let file = File::open(path)?;
+        let file = fgs_files::open_regular(path)?;
         let len = file.metadata()?.len().min(MAX_FILE_BYTES);
         let mut bytes = Vec::with_capacity(len as usize + 1);
         file.take(MAX_FILE_BYTES + 1).read_to_end(&mut bytes)?;

@@ -27,6 +27,7 @@ mod frame_stream;
 mod images;
 mod lines;
 mod natural_order;
+mod plain_words;
 mod trajectory;
 
 pub use camera_file::CameraFile;
@@ -34,4 +35,5 @@ pub use dataset::{Dataset, OpenOptions};
 pub use error::{DataError, LineFault};
 pub use formats::Format;
 pub use frame_stream::FrameStream;
+pub use plain_words::plain_words;
 pub use trajectory::{StampedPose, Trajectory};

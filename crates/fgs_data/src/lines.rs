@@ -4,18 +4,23 @@
 //! in memory, and each error carries file and line.
 
 use std::fs::File;
-use std::io::{BufRead, BufReader, Read};
+use std::io::{self, BufRead, BufReader, Read, Take};
 use std::path::Path;
+
+use fgs_files::{BYTE_ORDER_MARK, is_utf16, open_regular};
 
 use crate::{DataError, LineFault};
 
 /// Sixteen numbers in full precision or a long path fit many times over.
 const MAX_LINE_BYTES: usize = 8192;
 
+/// A million lines of seventeen numbers in full precision.
+const MAX_FILE_BYTES: u64 = 512 << 20;
+
 /// The lines of one file.
 pub(crate) struct Lines<'a> {
     path: &'a Path,
-    reader: BufReader<File>,
+    reader: Take<BufReader<File>>,
     buffer: Vec<u8>,
     number: usize,
 }
@@ -30,13 +35,25 @@ pub(crate) struct Line<'a> {
 
 impl<'a> Lines<'a> {
     pub fn open(path: &'a Path) -> Result<Self, DataError> {
-        let file = File::open(path).map_err(|source| DataError::Io {
+        let open = || -> io::Result<_> {
+            let mut reader = BufReader::new(open_regular(path)?);
+            let start = reader.fill_buf()?;
+            let is_utf16 = is_utf16(start);
+            if start.starts_with(BYTE_ORDER_MARK) {
+                reader.consume(BYTE_ORDER_MARK.len());
+            }
+            Ok((reader.take(MAX_FILE_BYTES), is_utf16))
+        };
+        let (reader, is_utf16) = open().map_err(|source| DataError::Io {
             path: path.into(),
             source,
         })?;
+        if is_utf16 {
+            return Err(line_error(path, 1, LineFault::Utf16));
+        }
         Ok(Self {
             path,
-            reader: BufReader::new(file),
+            reader,
             buffer: Vec::new(),
             number: 0,
         })
@@ -54,6 +71,12 @@ impl<'a> Lines<'a> {
                     path: self.path.into(),
                     source,
                 })?;
+            if len == 0 && self.reader.limit() == 0 {
+                return Err(DataError::FileTooLong {
+                    path: self.path.into(),
+                    max_bytes: MAX_FILE_BYTES,
+                });
+            }
             if len == 0 {
                 return Ok(None);
             }

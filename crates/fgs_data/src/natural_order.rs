@@ -6,8 +6,10 @@ use std::path::Path;
 
 use crate::DataError;
 
-/// The names of a folder's entries, runs of digits compared as numbers. Hidden entries and names
-/// that are not UTF-8 are left out.
+/// The names of a folder's entries, runs of digits compared as numbers. Hidden entries are left out.
+///
+/// # Errors
+/// If the folder cannot be read, or the name of an image in it is not UTF-8.
 pub(crate) fn sorted_names(folder: &Path) -> Result<Vec<String>, DataError> {
     let error = |source| DataError::Io {
         path: folder.into(),
@@ -15,10 +17,12 @@ pub(crate) fn sorted_names(folder: &Path) -> Result<Vec<String>, DataError> {
     };
     let mut names = Vec::new();
     for entry in fs::read_dir(folder).map_err(error)? {
-        if let Ok(name) = entry.map_err(error)?.file_name().into_string()
-            && !name.starts_with('.')
-        {
-            names.push(name);
+        match entry.map_err(error)?.file_name().into_string() {
+            Ok(name) if !name.starts_with('.') => names.push(name),
+            Err(name) if is_image_name(&name.to_string_lossy()) => {
+                return Err(DataError::NotUtf8(folder.join(name)));
+            }
+            _ => {}
         }
     }
     // The plain order decides between `1` and `01`, so that the result is the same everywhere.

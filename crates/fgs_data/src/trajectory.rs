@@ -24,6 +24,9 @@ const MAX_COORDINATE_M: f64 = 1e6;
 /// Poses further apart in time do not say how the camera moved at a frame, seconds.
 const MAX_GAP_SECS: f64 = 0.2;
 
+/// Poses closer in time say nothing of a velocity: time stamps have microseconds at best.
+const MIN_INTERVAL_SECS: f64 = 1e-6;
+
 /// A camera pose with its timestamp.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct StampedPose {
@@ -58,11 +61,7 @@ impl Trajectory {
         if !timestamp_secs.is_finite() {
             return Err(LineFault::OutOfRange(timestamp_secs));
         }
-        for &coordinate in world_from_camera.translation.iter() {
-            if !(-MAX_COORDINATE_M..=MAX_COORDINATE_M).contains(&coordinate) {
-                return Err(LineFault::OutOfRange(coordinate));
-            }
-        }
+        check_position(&world_from_camera)?;
         let length = world_from_camera.rotation.norm();
         if !is_unit(length) {
             return Err(LineFault::Quaternion(length));
@@ -111,13 +110,17 @@ impl Trajectory {
     /// # Errors
     /// If the file cannot be written.
     pub fn write(&self, path: &Path) -> Result<(), DataError> {
-        fgs_files::write_file(path, |file| self.write_lines(file)).map_err(|source| DataError::Io {
+        fgs_files::write_file(path, |file| self.encode(file)).map_err(|source| DataError::Io {
             path: path.into(),
             source,
         })
     }
 
-    fn write_lines(&self, file: &mut impl Write) -> std::io::Result<()> {
+    /// Writes what [`write`](Self::write) does to any writer.
+    ///
+    /// # Errors
+    /// What the writer returns.
+    pub fn encode(&self, file: &mut impl Write) -> std::io::Result<()> {
         writeln!(file, "# timestamp tx ty tz qx qy qz qw")?;
         for pose in &self.poses {
             let t = pose.world_from_camera.translation;
@@ -165,7 +168,8 @@ impl Trajectory {
 
     /// The camera's velocity at the pose with exactly this timestamp, from the pose before it to the one
     /// after it: a twist `[omega, v]` in its own axes, rad/s and m/s. Neighbours more than
-    /// `max_gap_secs` away do not count; zero if there is no such pose or it stands alone.
+    /// `max_gap_secs` away do not count; zero if there is no such pose, it stands alone, or its
+    /// neighbours are less than a microsecond apart.
     pub fn velocity(&self, timestamp_secs: f64, max_gap_secs: f64) -> Vector6<f64> {
         let is_earlier = |pose: &StampedPose| pose.timestamp_secs < timestamp_secs;
         let index = self.poses.partition_point(is_earlier);
@@ -179,7 +183,7 @@ impl Trajectory {
         let before = index.checked_sub(1).and_then(near).unwrap_or(now);
         let after = near(index + 1).unwrap_or(now);
         let interval = after.timestamp_secs - before.timestamp_secs;
-        if interval > 0.0 {
+        if interval >= MIN_INTERVAL_SECS {
             (before.world_from_camera.inverse() * after.world_from_camera).log() / interval
         } else {
             Vector6::zeros()
@@ -192,6 +196,16 @@ impl Trajectory {
     pub fn synchronized<'a>(&self, frame: &'a RgbdFrame) -> Cow<'a, RgbdFrame> {
         frame.synchronized(&self.velocity(frame.timestamp_secs, MAX_GAP_SECS))
     }
+}
+
+/// Refuses positions that maps cannot hold.
+pub(crate) fn check_position(world_from_camera: &Se3) -> Result<(), LineFault> {
+    for &coordinate in world_from_camera.translation.iter() {
+        if !(-MAX_COORDINATE_M..=MAX_COORDINATE_M).contains(&coordinate) {
+            return Err(LineFault::OutOfRange(coordinate));
+        }
+    }
+    Ok(())
 }
 
 fn is_unit(quaternion_length: f64) -> bool {

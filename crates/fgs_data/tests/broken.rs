@@ -18,15 +18,21 @@ fn message(recording: tempfile::TempDir, damage: impl FnOnce(&Path)) -> String {
     damage(root);
     let room = root.join("room");
     let folder = if room.exists() { &room } else { root };
-    let open = || -> Result<(), DataError> {
-        let dataset = Dataset::open(folder, &OpenOptions::default())?;
+    let open = || -> Result<(), String> {
+        let in_words = |error: DataError| error.to_string();
+        let dataset = Dataset::open(folder, &OpenOptions::default()).map_err(in_words)?;
+        // Poses that cannot be used are no reason to refuse the recording.
+        if let Some(error) = dataset.ground_truth_error() {
+            assert_eq!(dataset.ground_truth(), None);
+            dataset.frame(0).map_err(in_words)?;
+            return Err(error.to_string());
+        }
         dataset
             .frames(0..dataset.len())
-            .try_for_each(|frame| frame.map(drop))
+            .try_for_each(|frame| frame.map(drop).map_err(in_words))
     };
     open()
         .unwrap_err()
-        .to_string()
         .replace(&root.display().to_string(), "DIR")
 }
 
@@ -215,6 +221,21 @@ fn other_messages() -> Vec<(String, &'static str)> {
         ),
         (
             message(replica(3), |dir| {
+                let far = "1 0 0 1e300 0 1 0 0 0 0 1 0 0 0 0 1\n";
+                fs::write(dir.join("room/traj.txt"), far).unwrap();
+            }),
+            "DIR/room/traj.txt:1: 1e300 is out of range",
+        ),
+        (
+            message(replica(3), |dir| {
+                let overflow =
+                    "1 0 0 0 0 1 0 0 0 0 1 0 0 0 0 1\n1e400 0 0 0 0 1 0 0 0 0 1 0 0 0 0 1\n";
+                fs::write(dir.join("room/traj.txt"), overflow).unwrap();
+            }),
+            "DIR/room/traj.txt:2: '1e400' is not a finite number",
+        ),
+        (
+            message(replica(3), |dir| {
                 edit(&dir.join("cam_params.json"), "\"h\"", "\"hh\"")
             }),
             "DIR/room/../cam_params.json: missing field `h` at line 1",
@@ -229,7 +250,7 @@ fn other_messages() -> Vec<(String, &'static str)> {
             message(folders(3), |dir| {
                 fs::remove_file(dir.join("depth/d_9.png")).unwrap()
             }),
-            "DIR/images holds 3, but DIR/depth holds 2",
+            "DIR/images/9.png has no partner: no image in DIR/depth has its number",
         ),
     ]
 }

@@ -251,3 +251,21 @@ fn the_frames_of_a_recording_share_one_mask() {
     let frames = with_lens("[-0.3, 0.0, 0.0, 0.0, 0.0]");
     assert!(frames.iter().all(|frame| frame.color_valid.is_none()));
 }
+
+/// Times of two sensors differ; numbers of frames do not.
+#[test]
+fn folders_pair_times_by_order() {
+    let folder = tum(3);
+    for name in ["rgb.txt", "depth.txt"] {
+        fs::remove_file(folder.path().join(name)).unwrap();
+    }
+    for (kind, offset) in [("rgb", 101), ("depth", 105)] {
+        for index in 0..3 {
+            let place = folder.path().join(kind);
+            let name = format!("1305031102.{}.png", offset + 33 * index);
+            fs::rename(place.join(format!("{index}.png")), place.join(name)).unwrap();
+        }
+    }
+    fs::remove_file(folder.path().join("groundtruth.txt")).unwrap();
+    assert_eq!(open(folder.path()).unwrap().len(), 3);
+}

@@ -1,6 +1,7 @@
 //! Recordings of full size, where there are any: in the folder `FGS_SHARED`, or `../shared` beside
 //! the workspace.
 
+#![allow(clippy::print_stdout, reason = "a test says what it skips")]
 #![allow(clippy::unwrap_used)]
 
 use std::path::{Path, PathBuf};

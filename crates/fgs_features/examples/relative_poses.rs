@@ -4,6 +4,8 @@
 //! hololens, tum_fr1_rpy and redkitchen in a folder and prints a table: how many pairs are answered
 //! and how well, and how many pairs of frames that show different places are answered.
 
+#![allow(clippy::print_stdout, reason = "an example prints")]
+
 use std::path::Path;
 use std::time::{Duration, Instant};
 

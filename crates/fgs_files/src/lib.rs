@@ -2,14 +2,28 @@
 //!
 //! Both are written under a temporary name (`NAME.xxxxxx.unfinished`) beside their final place and
 //! renamed at the end, so neither a full disk nor a crash leaves half a file under its final name.
-//! What fails, or is dropped before it is finished, is removed again.
+//! What fails, or is dropped before it is finished, is removed again; what a killed process has left,
+//! by the next that writes there.
 
-use std::ffi::OsString;
+mod contents;
+mod lock;
+mod output_folder;
+mod reading;
+mod switch;
+
+use std::ffi::{OsStr, OsString};
 use std::fs::{self, File};
 use std::io::{self, BufWriter};
 use std::path::{Path, PathBuf};
 
 use tempfile::{Builder, TempDir};
+
+use contents::UNFINISHED;
+use lock::Lock;
+use output_folder::remove_left_overs;
+
+pub use output_folder::{FolderError, OutputFolder, StagedFolder};
+pub use reading::{BYTE_ORDER_MARK, check_regular, is_present, is_utf16, open_regular, read_text};
 
 /// Writes a file, replacing an existing one only once the new one is complete and on the disk.
 ///
@@ -20,6 +34,7 @@ pub fn write_file(
     content: impl FnOnce(&mut BufWriter<File>) -> io::Result<()>,
 ) -> io::Result<()> {
     let (parent, prefix) = place(path)?;
+    remove_dead_files(parent, path.file_name().unwrap_or_default());
     let mut builder = Builder::new();
     // Temporary files are private by default; results are to be as readable as any other file.
     #[cfg(unix)]
@@ -29,6 +44,8 @@ pub fn write_file(
         .suffix(SUFFIX)
         .tempfile_in(parent)?
         .into_parts();
+    // Tells others that its writer lives. Where there are no locks, nobody looks.
+    let _ = file.try_lock();
     let mut writer = BufWriter::new(file);
     content(&mut writer)?;
     writer.into_inner()?.sync_all()?;
@@ -52,23 +69,34 @@ pub fn sync_folder(path: &Path) -> io::Result<()> {
 pub struct NewFolder {
     target: PathBuf,
     unfinished: TempDir,
+    _lock: Lock,
 }
 
 impl NewFolder {
     /// Starts a folder that will stand at `target`, whose parent must exist.
     ///
     /// # Errors
-    /// [`io::ErrorKind::AlreadyExists`] if there is something at `target`, or the operating
-    /// system's refusal.
+    /// [`io::ErrorKind::AlreadyExists`] if there is something at `target`,
+    /// [`io::ErrorKind::ResourceBusy`] if another process is making it, or the operating system's
+    /// refusal.
     pub fn begin(target: &Path) -> io::Result<Self> {
         refuse_existing(target)?;
         let (parent, prefix) = place(target)?;
+        let name = target.file_name().unwrap_or_default();
+        let lock =
+            Lock::acquire(parent, &name.to_string_lossy())?.ok_or(io::ErrorKind::ResourceBusy)?;
+        if lock.is_exclusive {
+            remove_left_overs(target, parent, name)?;
+        }
         let mut builder = Builder::new();
         #[cfg(unix)]
         builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o777));
+        let unfinished = builder.prefix(&prefix).suffix(SUFFIX).tempdir_in(parent)?;
+        fs::write(unfinished.path().join(UNFINISHED), "")?;
         Ok(Self {
             target: target.to_owned(),
-            unfinished: builder.prefix(&prefix).suffix(SUFFIX).tempdir_in(parent)?,
+            unfinished,
+            _lock: lock,
         })
     }
 
@@ -85,6 +113,7 @@ impl NewFolder {
     pub fn finish(self) -> io::Result<()> {
         // Renaming would silently replace an empty folder.
         refuse_existing(&self.target)?;
+        fs::remove_file(self.unfinished.path().join(UNFINISHED))?;
         fs::rename(self.unfinished.path(), &self.target)?;
         // It is no longer at its temporary path: nothing is left to remove.
         let _ = self.unfinished.keep();
@@ -93,6 +122,37 @@ impl NewFolder {
 }
 
 const SUFFIX: &str = ".unfinished";
+
+/// The random part of a temporary name.
+const RANDOM_CHARS: usize = 6;
+
+/// Whether a path is a temporary name for `name`.
+fn is_temporary(path: &Path, name: &OsStr, suffix: &str) -> bool {
+    let (Some(path), Some(name)) = (path.file_name().and_then(OsStr::to_str), name.to_str()) else {
+        return false;
+    };
+    let random = || {
+        path.strip_prefix(name)?
+            .strip_prefix('.')?
+            .strip_suffix(suffix)
+    };
+    random().is_some_and(|random| {
+        random.len() == RANDOM_CHARS && random.chars().all(|c| c.is_ascii_alphanumeric())
+    })
+}
+
+/// Removes what killed processes have left of the file `name`.
+fn remove_dead_files(parent: &Path, name: &OsStr) {
+    for entry in fs::read_dir(parent).into_iter().flatten().flatten() {
+        let path = entry.path();
+        let is_dead = |file: File| {
+            file.metadata().is_ok_and(|data| data.is_file()) && file.try_lock().is_ok()
+        };
+        if is_temporary(&path, name, SUFFIX) && open_regular(&path).is_ok_and(is_dead) {
+            let _ = fs::remove_file(path);
+        }
+    }
+}
 
 /// The folder that holds `path`, and the beginning of a temporary name in it.
 fn place(path: &Path) -> io::Result<(&Path, OsString)> {
@@ -146,6 +206,28 @@ mod tests {
         write_file(&path, |file| file.write_all(b"new")).unwrap();
         assert_eq!(fs::read(&path).unwrap(), b"new");
         assert_eq!(names(folder.path()), ["x"]);
+    }
+
+    /// A file is locked as long as its writer lives.
+    #[test]
+    fn left_overs_of_the_dead_are_removed() {
+        let folder = tempfile::tempdir().unwrap();
+        let [dead, alive, other] = [
+            "x.aB3dEf.unfinished",
+            "x.aB3dEg.unfinished",
+            "x.mine.unfinished",
+        ]
+        .map(|name| folder.path().join(name));
+        for path in [&dead, &alive, &other] {
+            fs::write(path, "").unwrap();
+        }
+        let writer = File::open(&alive).unwrap();
+        writer.lock().unwrap();
+        write_file(&folder.path().join("x"), |_| Ok(())).unwrap();
+        assert_eq!(
+            names(folder.path()),
+            ["x", "x.aB3dEg.unfinished", "x.mine.unfinished"]
+        );
     }
 
     #[test]
@@ -202,6 +284,17 @@ mod tests {
         assert_eq!(late.kind(), io::ErrorKind::AlreadyExists);
         let early = NewFolder::begin(&target).unwrap_err();
         assert_eq!(early.kind(), io::ErrorKind::AlreadyExists);
+        // One that was killed left its part.
+        let killed = NewFolder::begin(&parent.path().join("hall")).unwrap();
+        fs::write(killed.path().join("a"), "1").unwrap();
+        let busy = NewFolder::begin(&parent.path().join("hall")).unwrap_err();
+        assert_eq!(busy.kind(), io::ErrorKind::ResourceBusy);
+        let left = parent.path().join("hall.killed.unfinished");
+        fs::create_dir(&left).unwrap();
+        fs::write(left.join(UNFINISHED), "").unwrap();
+        fs::write(left.join("a"), "1").unwrap();
+        drop(killed);
+        drop(NewFolder::begin(&parent.path().join("hall")).unwrap());
         assert_eq!(names(parent.path()), ["room"]);
     }
 }

@@ -4,6 +4,8 @@ use nalgebra::{Vector2, Vector3};
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
+use crate::Number;
+
 use crate::Se3;
 
 /// Focal lengths and principal point, pixels.
@@ -21,7 +23,7 @@ pub struct Intrinsics {
 
 /// A camera parameter out of its plausible range.
 #[derive(Clone, Debug, Error, PartialEq)]
-#[error("{key} = {value} is not possible: {expected}")]
+#[error("{key} = {} is not possible: {expected}", Number(*.value))]
 pub struct CameraError {
     /// Name of the parameter, as in a camera file.
     pub key: &'static str,

@@ -5,7 +5,9 @@
 
 use std::ops::Mul;
 
-use nalgebra::{Matrix3, Matrix4, Matrix6, Quaternion, UnitQuaternion, Vector3, Vector6};
+use nalgebra::{
+    Matrix3, Matrix4, Matrix6, Quaternion, Rotation3, UnitQuaternion, Vector3, Vector6,
+};
 use serde::{Deserialize, Serialize};
 
 /// Below this angle (rad) the closed forms lose digits to cancellation and their Taylor series,
@@ -57,13 +59,18 @@ impl Se3 {
             return None;
         }
         let linear: Matrix3<f64> = matrix.fixed_view::<3, 3>(0, 0).into_owned();
+        // Larger entries are no rotation's, and the decomposition may overflow on them.
+        if linear.amax() > 1.01 {
+            return None;
+        }
         let svd = linear.svd(true, true);
         let nearest = svd.u? * svd.v_t?;
-        if (nearest - linear).amax() > 0.01 || nearest.determinant() < 0.0 {
+        let is_near = (nearest - linear).iter().all(|change| change.abs() <= 0.01);
+        if !is_near || nearest.determinant() < 0.0 {
             return None;
         }
         Some(Self::new(
-            UnitQuaternion::from_matrix(&nearest),
+            UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(nearest)),
             matrix.fixed_view::<3, 1>(0, 3).into_owned(),
         ))
     }
@@ -315,6 +322,10 @@ mod tests {
         assert!(back.is_some_and(|back| (back.matrix() - pose.matrix()).amax() <= 1e-12));
         assert_eq!(Se3::from_matrix(&(pose.matrix() * 1.1)), None);
         assert_eq!(Se3::from_matrix(&Matrix4::from_element(f64::NAN)), None);
+        // The decomposition overflowed, and what came of it was iterated on for ever.
+        let mut huge = Matrix4::identity();
+        huge[(1, 1)] = 1e300;
+        assert_eq!(Se3::from_matrix(&huge), None);
         let mut mirrored = pose.matrix();
         mirrored.column_mut(0).neg_mut();
         assert_eq!(Se3::from_matrix(&mirrored), None);

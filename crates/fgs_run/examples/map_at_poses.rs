@@ -2,6 +2,8 @@
 //! once for each trajectory (TUM format), without tracking, from the same keyframes with the same
 //! number of steps, and prints PSNR and depth L1 over all frames.
 
+#![allow(clippy::print_stdout, reason = "an example prints")]
+
 use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;

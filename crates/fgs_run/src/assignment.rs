@@ -84,14 +84,14 @@ mod tests {
         for (assignment, expected) in [
             ("mapping.prune_every", "expected key=value"),
             ("mapping.prune_evry=3", "unknown field `prune_evry`"),
-            ("mapping=3", "invalid type"),
+            ("mapping=3", "3 is given where a table is expected"),
             (
                 "mapping.prune_every=0",
                 "mapping.prune_every = 0 is not possible",
             ),
             (
                 "mapping.prune_every=often",
-                "invalid type: string \"often\"",
+                "\"often\" is given where a whole number",
             ),
             ("mapping.prune_every=]", "mapping.prune_every=]: "),
             ("camera.fx=500", "missing field"),

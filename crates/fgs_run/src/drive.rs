@@ -17,7 +17,7 @@ use crate::backend::Model;
 use crate::checkpoints::Checkpoints;
 use crate::error::RunError;
 use crate::frame_log::FrameRow;
-use crate::map_folder::{MAP_FOLDER, MapFolder, MapWriter};
+use crate::map_folder::{MapFolder, MapWriter};
 use crate::metrics::{Metrics, RefinedMetrics};
 use crate::observer::{RunEvent, RunObserver};
 use crate::peak_memory::peak_rss_bytes;
@@ -145,7 +145,7 @@ fn check_recording(plan: &Plan, folder: &MapFolder, saved: &SavedSession) -> Res
 }
 
 fn other_recording(folder: &MapFolder, what: &str) -> RunError {
-    RunError::OtherRecording {
+    RunError::NotOfMap {
         path: folder.path().into(),
         what: what.into(),
     }
@@ -156,7 +156,7 @@ fn checkpoints(plan: &Plan, slam: &mut Slam) -> Result<Option<Checkpoints>, RunE
     let Some(every) = plan.checkpoint_every_secs.map(Duration::from_secs) else {
         return Ok(None);
     };
-    let path = plan.folder.join(MAP_FOLDER);
+    let path = MapFolder::of_run(plan.folder.path());
     let writer = match &plan.known_map {
         None => MapWriter::begin(&path, &plan.settings)?,
         Some((KnownMap::Resume(_), folder)) => MapWriter::resume(folder),
@@ -282,7 +282,7 @@ fn metrics(
         mode: plan.execution,
         backend,
         threads: rayon::current_num_threads(),
-        dataset: plan.dataset_path.clone(),
+        dataset: plan.dataset_from_folder.clone(),
         eval_holdout: plan.eval_holdout,
         refined: output.refined.as_ref().map(|refined| RefinedMetrics {
             steps: refined.steps,

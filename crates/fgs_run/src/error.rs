@@ -5,6 +5,7 @@ use std::path::PathBuf;
 
 use fgs_data::DataError;
 use fgs_eval::EvalError;
+use fgs_files::FolderError;
 use fgs_slam::SlamError;
 use fgs_splat::{GpuError, PlyError};
 use thiserror::Error;
@@ -69,6 +70,14 @@ pub enum RunError {
         /// The folder.
         path: PathBuf,
     },
+    /// A recording is not the one that a finished run was made from.
+    #[error("{} is not the run's recording: {difference}", path.display())]
+    OtherRecording {
+        /// The recording.
+        path: PathBuf,
+        /// How it differs.
+        difference: String,
+    },
     /// Not a single frame could be read.
     #[error("none of the {frames} frames could be read")]
     NothingRead {
@@ -121,11 +130,24 @@ pub enum RunError {
     },
     /// A recording does not belong to a map.
     #[error("the map in {} cannot go on with this recording: {what}", path.display())]
-    OtherRecording {
+    NotOfMap {
         /// The map's folder.
         path: PathBuf,
         /// How the recording differs.
         what: String,
+    },
+    /// The output folder holds something else, or is in use.
+    #[error("output folder {0}")]
+    Refused(#[source] FolderError),
+    /// A result could not be written; the others were.
+    #[error("{source}; the other results are in {}{}", saved.display(), kept_in_words(kept))]
+    Incomplete {
+        /// The first error.
+        source: Box<RunError>,
+        /// Where the other results are.
+        saved: PathBuf,
+        /// The folder of earlier results that were therefore not replaced.
+        kept: Option<PathBuf>,
     },
     /// A file cannot be read or is damaged.
     #[error("cannot read {}: {source}", path.display())]
@@ -145,6 +167,25 @@ pub enum RunError {
     },
 }
 
+fn kept_in_words(kept: &Option<PathBuf>) -> String {
+    let kept = kept.as_ref();
+    kept.map_or(String::new(), |kept| {
+        format!(", the earlier ones in {} are as they were", kept.display())
+    })
+}
+
+impl From<FolderError> for RunError {
+    fn from(error: FolderError) -> Self {
+        match error {
+            FolderError::Io { folder, source } => Self::OutputFolder {
+                path: folder,
+                source,
+            },
+            refused => Self::Refused(refused),
+        }
+    }
+}
+
 impl RunError {
     /// Whether this is a usage error: what was asked for, a settings file or a camera file has to be
     /// corrected, and trying again without that is pointless.
@@ -156,15 +197,13 @@ impl RunError {
             | Self::Camera(_)
             | Self::NoDevice(_)
             | Self::UnknownRecording { .. }
+            | Self::OtherRecording { .. }
             | Self::NotARun { .. }
             | Self::NoMap { .. }
-            | Self::OtherRecording { .. } => true,
-            Self::Data(error) => matches!(
-                error,
-                DataError::CameraFile { .. }
-                    | DataError::Camera { .. }
-                    | DataError::NoCamera { .. }
-            ),
+            | Self::NotOfMap { .. } => true,
+            Self::Refused(error) => !matches!(error, FolderError::Busy(_)),
+            Self::Read { source, .. } => source.kind() == io::ErrorKind::InvalidInput,
+            Self::Data(error) => error.is_usage(),
             Self::Slam(error) => matches!(error, SlamError::Setting(_)),
             Self::RecordingOfRun(error) => error.is_usage(),
             _ => false,

@@ -9,7 +9,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use fgs_data::{Dataset, Trajectory};
 use fgs_eval::{EvalError, ate, depth_error, image_quality, rpe};
-use fgs_geom::{Image, RgbdFrame, Se3, View};
+use fgs_geom::{Camera, Image, RgbdFrame, Se3, View};
 use fgs_splat::{Gaussians, Rasterizer};
 use rayon::prelude::*;
 
@@ -22,6 +22,10 @@ use crate::scores::{FrameErrors, TrajectoryErrors};
 
 /// So many frames are in memory and scored side by side: enough for the cores of a desktop.
 const FRAMES_AT_ONCE: usize = 16;
+
+/// The most pixels in memory at once, where frames are large: with what a frame's scores take, some
+/// hundred bytes a pixel, half a gigabyte.
+const PIXELS_AT_ONCE: usize = 5_000_000;
 
 impl RunResult {
     /// Fills in the trajectory's errors where the recording has ground truth.
@@ -120,13 +124,14 @@ fn score_maps(
     let (Some(first), Some(last)) = (rows.first(), rows.last()) else {
         return Ok(Some(scores));
     };
+    let at_once = frames_at_once(dataset.camera());
     let mut frames = dataset.frames(first.index..last.index + 1).zip(rows);
     let mut done = 0;
     while done < rows.len() {
         if stop.load(Ordering::Relaxed) {
             return Ok(None);
         }
-        let batch: Vec<_> = frames.by_ref().take(FRAMES_AT_ONCE).collect();
+        let batch: Vec<_> = frames.by_ref().take(at_once).collect();
         if batch.is_empty() {
             break;
         }
@@ -156,6 +161,11 @@ fn score_maps(
         });
     }
     Ok(Some(scores))
+}
+
+/// As many as cores can use and memory affords.
+fn frames_at_once(camera: &Camera) -> usize {
+    (PIXELS_AT_ONCE / (camera.width * camera.height)).clamp(1, FRAMES_AT_ONCE)
 }
 
 /// Takes over the scores that there are.
@@ -191,4 +201,20 @@ fn score_frame(
         )?,
         depth: depth_error(&depth_m, &rendered.alpha, &frame.depth_m)?,
     }))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn large_frames_are_scored_one_by_one() {
+        let at_once = |width: usize, height: usize| {
+            frames_at_once(&fgs_synth::kinect_camera(width, height).unwrap())
+        };
+        assert_eq!(at_once(640, 480), 16);
+        assert_eq!(at_once(1920, 1080), 2);
+        assert_eq!(at_once(4000, 3000), 1);
+        assert_eq!(at_once(10_000, 10_000), 1);
+    }
 }

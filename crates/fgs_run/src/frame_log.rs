@@ -1,14 +1,21 @@
 //! `frames.csv`: what became of each frame, one row a frame.
 
-use std::io::{self, Write};
+use std::io::{self, BufRead, BufReader, Read, Write};
 use std::path::Path;
 
+use fgs_data::plain_words;
+use fgs_files::{BYTE_ORDER_MARK, is_utf16, open_regular};
 use fgs_slam::{FrameStatus, KeyframeKind};
 use serde::{Deserialize, Serialize};
 
 use crate::error::RunError;
 use crate::score_values::Scores;
 use crate::scores::{SCORES, Source};
+
+/// Nine hours at 30 frames a second; half a gigabyte in memory.
+const MAX_ROWS: usize = 1_000_000;
+/// What so many rows take at most.
+const MAX_BYTES: u64 = 256 << 20;
 
 /// A frame of a run. What is not known or does not apply is `None`, an empty field in the file.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -109,9 +116,10 @@ pub fn write(rows: &[FrameRow], writer: impl Write) -> io::Result<()> {
 /// If the file cannot be read or a line is not a row; with path and line.
 pub fn read(path: &Path) -> Result<Vec<FrameRow>, RunError> {
     let rows = || -> csv::Result<Vec<FrameRow>> {
-        let mut csv = csv::Reader::from_path(path)?;
+        let mut csv = csv::Reader::from_reader(open(path)?);
         let header = csv.headers()?.clone();
         csv.records()
+            .take(MAX_ROWS + 1)
             .map(|record| {
                 let record = record?;
                 let mut row: FrameRow = record.deserialize(Some(&header))?;
@@ -120,10 +128,47 @@ pub fn read(path: &Path) -> Result<Vec<FrameRow>, RunError> {
             })
             .collect()
     };
-    rows().map_err(|error| RunError::Read {
+    let error = |source| RunError::Read {
         path: path.into(),
-        source: error.into(),
-    })
+        source,
+    };
+    let rows = rows().map_err(|source| {
+        let message = plain_words(&source.to_string());
+        error(match source.into_kind() {
+            csv::ErrorKind::Io(error) => error,
+            _ => io::Error::new(io::ErrorKind::InvalidData, message),
+        })
+    })?;
+    if rows.len() > MAX_ROWS {
+        let what = format!("holds more than {MAX_ROWS} frames");
+        return Err(error(io::Error::new(io::ErrorKind::InvalidInput, what)));
+    }
+    for pair in rows.windows(2) {
+        let (first, second) = (pair[0].index, pair[1].index);
+        if first.checked_add(1) != Some(second) {
+            let what = format!("frame {second} follows frame {first}");
+            return Err(error(io::Error::new(io::ErrorKind::InvalidData, what)));
+        }
+    }
+    Ok(rows)
+}
+
+/// The file without a byte order mark, if it is one of a size that a run can have written.
+fn open(path: &Path) -> io::Result<impl Read> {
+    let file = open_regular(path)?;
+    let refuse = |what: String| Err(io::Error::new(io::ErrorKind::InvalidInput, what));
+    if file.metadata()?.len() > MAX_BYTES {
+        return refuse(format!("is longer than {MAX_BYTES} bytes"));
+    }
+    let mut reader = BufReader::new(file.take(MAX_BYTES));
+    let start = reader.fill_buf()?;
+    if is_utf16(start) {
+        return refuse("is UTF-16 text: save it as UTF-8".into());
+    }
+    if start.starts_with(BYTE_ORDER_MARK) {
+        reader.consume(BYTE_ORDER_MARK.len());
+    }
+    Ok(reader)
 }
 
 #[cfg(test)]
@@ -168,6 +213,10 @@ mod tests {
         std::fs::write(file.path(), damaged).unwrap();
         let message = read(file.path()).unwrap_err().to_string();
         assert!(message.contains("line: 3"), "{message}");
+        let huge = format!("index,status\n{0},tracked\n{0},tracked\n", usize::MAX);
+        std::fs::write(file.path(), huge).unwrap();
+        let message = read(file.path()).unwrap_err().to_string();
+        assert!(message.contains("follows frame"), "{message}");
     }
 
     /// Users' scripts read these names, in this order.

@@ -25,8 +25,8 @@ use serde::{Deserialize, Serialize};
 use crate::error::RunError;
 use crate::settings::Settings;
 
-/// The folder of a run's map, in the run's folder.
-pub const MAP_FOLDER: &str = "map";
+/// What the name of a run's map has in addition to that of the run's folder.
+const SUFFIX: &str = ".map";
 
 const MANIFEST: &str = "manifest";
 
@@ -109,7 +109,7 @@ impl MapFolder {
     /// [`RunError::NoMap`] if there is none; [`RunError::MapVersion`] if it is of a newer version;
     /// [`RunError::MapDamaged`] or [`RunError::Read`].
     pub fn open(path: &Path) -> Result<Self, RunError> {
-        let of_run = path.join(MAP_FOLDER);
+        let of_run = Self::of_run(path);
         let places = [path, &of_run];
         let found = places
             .into_iter()
@@ -151,11 +151,21 @@ impl MapFolder {
         &self.path
     }
 
+    /// The folder for the map of a run: beside its results, which are replaced as a whole when it ends.
+    pub fn of_run(run_folder: &Path) -> PathBuf {
+        let real = run_folder.canonicalize();
+        let mut path = real.unwrap_or_else(|_| run_folder.into()).into_os_string();
+        path.push(SUFFIX);
+        path.into()
+    }
+
     /// The folder of the run whose map it is.
     pub fn run_folder(&self) -> PathBuf {
-        match self.path.parent() {
-            Some(parent) if parent != Path::new("") => parent.into(),
-            _ => self.path.join(".."),
+        let name = self.path.file_name().unwrap_or_default().to_string_lossy();
+        match name.strip_suffix(SUFFIX) {
+            Some(run) => self.path.with_file_name(run),
+            // The map was renamed.
+            None => self.path.with_file_name(format!("{name}-resumed")),
         }
     }
 

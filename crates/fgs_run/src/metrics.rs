@@ -1,14 +1,19 @@
 //! `metrics.json`: a run in numbers.
 
-use std::io::Write;
+use std::io::{self, Write};
 use std::path::PathBuf;
 
+use fgs_data::plain_words;
+use fgs_files::{StagedFolder, read_text};
 use fgs_slam::{Execution, Holdout};
 use serde::{Deserialize, Serialize};
 
 use crate::error::RunError;
-use crate::run_folder::{METRICS, RunFolder};
+use crate::run_folder::{METRICS, RunFolder, write};
 use crate::score_values::Scores;
+
+/// Some sixty numbers take 2 kB.
+const MAX_BYTES: u64 = 1 << 20;
 
 /// A run in numbers. What was not computed is `null`, as is an infinite signal-to-noise ratio.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -65,7 +70,7 @@ pub struct Metrics {
     pub backend: String,
     /// Threads of the pool that computes.
     pub threads: usize,
-    /// The recording as given.
+    /// The recording, as seen from the run's folder where it can be.
     pub dataset: PathBuf,
     /// Of every so many frames, the last was kept out of the map; left out if none was.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -100,20 +105,22 @@ impl Metrics {
     /// If there are none or they are damaged.
     pub fn read(folder: &RunFolder) -> Result<Self, RunError> {
         let path = folder.join(METRICS);
-        std::fs::read_to_string(&path)
-            .and_then(|text| Ok(serde_json::from_str(&text)?))
+        read_text(&path, MAX_BYTES)
+            .and_then(|text| {
+                serde_json::from_str(&text).map_err(|error| {
+                    io::Error::new(io::ErrorKind::InvalidData, plain_words(&error.to_string()))
+                })
+            })
             .map_err(|source| RunError::Read { path, source })
     }
 
-    /// Writes them into the run's folder.
-    ///
-    /// # Errors
-    /// If writing fails.
-    pub fn write(&self, folder: &RunFolder) -> Result<(), RunError> {
-        folder.write(METRICS, |file| {
+    /// Writes them among a run's results.
+    pub(crate) fn write(&self, results: &StagedFolder<'_>) -> Result<(), RunError> {
+        write(results, METRICS, |file| {
             serde_json::to_writer_pretty(&mut *file, self)?;
             writeln!(file)
         })
+        .map(drop)
     }
 
     /// A small table for people.
@@ -169,7 +176,10 @@ fn table_line(indent: usize, name: &str, text: &str) -> String {
 
 #[cfg(test)]
 mod tests {
+    use fgs_files::OutputFolder;
+
     use super::*;
+    use crate::run_folder::CONFIG;
 
     const SAVED: &str = r#"{
   "frames": 6,
@@ -215,11 +225,18 @@ mod tests {
     #[test]
     fn names_order_and_table_stay_as_they_are() {
         let parent = tempfile::tempdir().unwrap();
-        let folder = RunFolder::create(parent.path()).unwrap();
-        std::fs::write(folder.join(METRICS), SAVED).unwrap();
+        let output = OutputFolder::claim(&parent.path().join("run")).unwrap();
+        let results = output.begin().unwrap();
+        for (name, text) in [(METRICS, SAVED), (CONFIG, "")] {
+            write(&results, name, |file| file.write_all(text.as_bytes())).unwrap();
+        }
+        results.finish().unwrap();
+        let folder = RunFolder::open(output.path()).unwrap();
         let metrics = Metrics::read(&folder).unwrap();
         assert_eq!(metrics.scores.get("ssim"), Some(0.875));
-        metrics.write(&folder).unwrap();
+        let results = output.begin().unwrap();
+        metrics.write(&results).unwrap();
+        results.finish().unwrap();
         let again = std::fs::read_to_string(folder.join(METRICS)).unwrap();
         assert_eq!(again, SAVED);
         assert_eq!(

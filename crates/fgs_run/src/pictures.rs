@@ -3,6 +3,7 @@
 use std::io::{self, Write};
 
 use fgs_data::Dataset;
+use fgs_files::StagedFolder;
 use fgs_geom::{Image, RgbdFrame, View};
 use fgs_splat::Rasterizer;
 use image::codecs::png::PngEncoder;
@@ -10,7 +11,7 @@ use image::{ExtendedColorType, ImageEncoder, ImageError};
 
 use crate::error::RunError;
 use crate::frame_log::FrameRow;
-use crate::run_folder::{PICTURES, RunFolder};
+use crate::run_folder::{PICTURES, write};
 use crate::run_result::RunResult;
 
 /// How many pictures show the run, from its first to its last tracked frame.
@@ -24,9 +25,8 @@ const SAMPLES: usize = 5;
 pub fn write_samples(
     result: &RunResult,
     dataset: &Dataset,
-    folder: &RunFolder,
+    results: &StagedFolder<'_>,
 ) -> Result<(), RunError> {
-    folder.start_pictures()?;
     let mut rasterizer = Rasterizer::default();
     for (row, name) in choose(result) {
         // A frame that cannot be read again has no picture.
@@ -38,7 +38,7 @@ pub fn write_samples(
             let pass = rasterizer.render(&result.gaussians, &view);
             let frame = result.trajectory.synchronized(&frame);
             let picture = side_by_side(&frame, &png_bytes(&pass.rendered().color));
-            folder.write(&format!("{PICTURES}/{name}.png"), |file| {
+            write(results, &format!("{PICTURES}/{name}.png"), |file| {
                 write_png(&picture, file)
             })?;
         }

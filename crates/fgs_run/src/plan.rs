@@ -6,7 +6,8 @@ use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::AtomicBool;
 
-use fgs_data::{DataError, Dataset};
+use fgs_data::Dataset;
+use fgs_files::{OutputFolder, StagedFolder};
 use fgs_slam::{Execution, Holdout};
 
 use crate::backend::{Backend, Model};
@@ -16,8 +17,9 @@ use crate::frame_range::FrameRange;
 use crate::map_folder::MapFolder;
 use crate::observer::RunObserver;
 use crate::pictures;
-use crate::recording::{check_size, open_recording, recording_name};
-use crate::run_folder::{CONFIG, RunFolder, TRAJECTORY};
+use crate::recording::{check_size, open_recording, path_from, recording_name};
+use crate::rescore::save_scores;
+use crate::run_folder::{CONFIG, write};
 use crate::run_result::RunResult;
 use crate::settings::{COMMIT, RunSettings, Settings};
 
@@ -32,7 +34,7 @@ pub struct RunOptions {
     pub dataset: PathBuf,
     /// The map that the run starts with; none.
     pub known_map: Option<KnownMap>,
-    /// Seconds between checkpoints of the map (0: after every frame), which are written to [`MAP_FOLDER`](crate::MAP_FOLDER) in
+    /// Seconds between checkpoints of the map (0: after every frame), which are written beside
     /// the folder for the results; none are written.
     pub checkpoint_every_secs: Option<u64>,
     /// Settings file; see [`Settings`].
@@ -52,7 +54,7 @@ pub struct RunOptions {
     /// Frames that are tracked but kept out of the map, to judge it by; none.
     pub eval_holdout: Option<Holdout>,
     /// Folder for the results; the first free of `runs/NAME`, `runs/NAME-2`, ... Results already in
-    /// it are replaced when the run has ended.
+    /// it are replaced when the run has ended. A folder that holds anything else is refused.
     pub out: Option<PathBuf>,
     /// Whether to render and score every tracked frame at the end.
     pub evaluate: bool,
@@ -86,6 +88,8 @@ impl KnownMap {
 pub struct Plan {
     /// The recording as given.
     pub dataset_path: PathBuf,
+    /// The recording, as seen from the folder for the results.
+    pub dataset_from_folder: PathBuf,
     /// The recording.
     pub dataset: Dataset,
     /// Its frames to run.
@@ -98,8 +102,8 @@ pub struct Plan {
     pub refine: usize,
     /// Frames that are kept out of the map.
     pub eval_holdout: Option<Holdout>,
-    /// Where results go.
-    pub folder: RunFolder,
+    /// Where results go. Nobody else can write there meanwhile.
+    pub folder: OutputFolder,
     /// Whether to render and score every tracked frame at the end.
     pub evaluate: bool,
     /// Seconds between checkpoints of the map.
@@ -135,7 +139,9 @@ impl Plan {
             _ => Settings::load(options.config.as_deref(), &options.assignments)?,
         };
         let dataset_path = match (&settings.run.dataset, resumed) {
-            (Some(own), Some(_)) if options.dataset == Path::new("") => own.clone(),
+            (Some(own), Some(map)) if options.dataset == Path::new("") => {
+                map.run_folder().join(own)
+            }
             _ => options.dataset.clone(),
         };
         let dataset = open_recording(&dataset_path, options.camera.as_deref(), &mut settings)?;
@@ -151,9 +157,18 @@ impl Plan {
         let eval_holdout = options.eval_holdout.or(recorded.eval_holdout);
         let checkpoint_every_secs =
             (options.checkpoint_every_secs).or(recorded.checkpoint_every_secs);
+        let folder = match (resumed, &options.out) {
+            (Some(map), _) => OutputFolder::claim(&map.run_folder())?,
+            (None, Some(path)) => OutputFolder::claim(path)?,
+            (None, None) => {
+                OutputFolder::claim_new(Path::new(RUNS), &recording_name(&dataset_path))?
+            }
+        };
+        let dataset_from_folder = path_from(folder.path(), &dataset_path);
         settings.run = RunSettings {
             command: options.command.clone(),
-            dataset: Some(dataset_path.clone()),
+            dataset: Some(dataset_from_folder.clone()),
+            dataset_frames: Some(dataset.len()),
             mode: Some(execution),
             backend: Some(model.backend),
             frames: Some(frames.clone().into()),
@@ -163,13 +178,9 @@ impl Plan {
             camera_overrides: settings.run.camera_overrides,
             commit: Some(COMMIT.into()),
         };
-        let folder = match (resumed, &options.out) {
-            (Some(map), _) => RunFolder::create(&map.run_folder())?,
-            (None, Some(path)) => RunFolder::create(path)?,
-            (None, None) => RunFolder::create_new(Path::new(RUNS), &recording_name(&dataset_path))?,
-        };
         let plan = Self {
             dataset_path,
+            dataset_from_folder,
             dataset,
             frames,
             settings,
@@ -208,45 +219,78 @@ impl Plan {
         self.conclude(result, observer, stop)
     }
 
-    /// Saves each result by itself, what is small or cannot be made again first: the trajectory before
-    /// the map, and both before scoring.
+    /// Saves everything, then scores if asked to: what is there before scoring, which takes long, is not
+    /// lost with it.
     fn conclude(
         &self,
         mut result: RunResult,
         observer: &mut dyn RunObserver,
         stop: &AtomicBool,
     ) -> Result<RunResult, RunError> {
-        let folder = &self.folder;
         let mut errors = FirstError(result.checkpoint_failure.take());
-        folder.clear_results();
-        errors.note(self.save_settings());
-        errors.note(save_trajectory(&result, folder));
-        errors.note(result.save_rows(folder));
         errors.note(result.score_trajectory(&self.dataset));
-        errors.note(result.save_map(folder));
-        errors.note(result.save_refined_map(folder));
-        errors.note(result.metrics.write(folder));
+        let beside = self.save(&mut result, &mut errors)?;
         if self.evaluate {
-            errors.note(result.score_images(&self.dataset, observer, stop));
-            errors.note(result.save_rows(folder));
-            errors.note(result.metrics.write(folder));
+            let folder = beside.as_ref().unwrap_or(&self.folder);
+            match result.score_images(&self.dataset, observer, stop) {
+                Ok(true) => errors.note(save_scores(&result, &self.dataset, folder)),
+                Ok(false) => {}
+                Err(error) => errors.note(Err::<(), _>(error)),
+            }
         }
-        errors.note(pictures::write_samples(&result, &self.dataset, folder));
         errors.0.map_or(Ok(result), Err)
     }
 
-    fn save_settings(&self) -> Result<(), RunError> {
+    /// Saves each result by itself, what is small or cannot be made again first. Earlier results are
+    /// replaced only by complete ones; those that are not go into a new folder, which is returned.
+    fn save(
+        &self,
+        result: &mut RunResult,
+        errors: &mut FirstError,
+    ) -> Result<Option<OutputFolder>, RunError> {
+        let results = self
+            .folder
+            .begin()
+            .map_err(|source| RunError::OutputFolder {
+                path: self.folder.path().into(),
+                source,
+            })?;
+        let mut write_errors = FirstError::default();
+        write_errors.note(result.save_trajectory(&results));
+        write_errors.note(self.save_settings(&results));
+        write_errors.note(result.save_rows(&results));
+        write_errors.note(result.save_map(&results));
+        write_errors.note(result.save_refined_map(&results));
+        write_errors.note(result.metrics.write(&results));
+        write_errors.note(pictures::write_samples(result, &self.dataset, &results));
+        write_errors.note(self.folder.check());
+        let Some(error) = write_errors.0 else {
+            results.finish()?;
+            return Ok(None);
+        };
+        let beside = if results.replaces() {
+            Some(results.finish_beside()?)
+        } else {
+            results.finish()?;
+            None
+        };
+        let saved = beside.as_ref().unwrap_or(&self.folder);
+        errors.note(Err::<(), _>(RunError::Incomplete {
+            source: Box::new(error),
+            saved: saved.path().into(),
+            kept: beside.as_ref().map(|_| self.folder.path().into()),
+        }));
+        Ok(beside)
+    }
+
+    fn save_settings(&self, results: &StagedFolder<'_>) -> Result<(), RunError> {
         let toml = self.settings.to_toml()?;
-        self.folder
-            .write(CONFIG, |file| file.write_all(toml.as_bytes()))
+        write(results, CONFIG, |file| file.write_all(toml.as_bytes())).map(drop)
     }
 }
 
-fn save_trajectory(result: &RunResult, folder: &RunFolder) -> Result<(), DataError> {
-    result.trajectory.write(&folder.join(TRAJECTORY))
-}
-
 /// The first of the errors of steps that do not depend on each other.
+#[derive(Default)]
 struct FirstError(Option<RunError>);
 
 impl FirstError {

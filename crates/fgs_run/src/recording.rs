@@ -2,7 +2,8 @@
 //! recording's own, then `[camera]` in the settings (before the recording's own if
 //! `run.camera_overrides` is set).
 
-use std::path::Path;
+use std::ffi::OsString;
+use std::path::{Component, Path, PathBuf};
 
 use fgs_data::{CameraFile, DataError, Dataset, OpenOptions};
 
@@ -57,10 +58,54 @@ pub(crate) fn check_size(dataset: &Dataset, index: usize) -> Result<(), RunError
 }
 
 /// A name for the recording: that of its folder, also for paths such as `.`.
-pub fn recording_name(folder: &Path) -> String {
+pub fn recording_name(folder: &Path) -> OsString {
     let path = folder.canonicalize().unwrap_or_else(|_| folder.to_owned());
-    let name = path
-        .file_name()
-        .map(|name| name.to_string_lossy().into_owned());
-    name.unwrap_or_else(|| "run".into())
+    path.file_name().unwrap_or("run".as_ref()).to_owned()
+}
+
+/// The way from a folder, which need not exist, to a path that does: `../../room`. Where there is none,
+/// as between drives, the path as it is. What is not UTF-8 cannot be written down and is replaced.
+pub(crate) fn path_from(folder: &Path, path: &Path) -> PathBuf {
+    let real_folder = folder.canonicalize().ok().or_else(|| {
+        let parent = folder.parent()?;
+        let parent = if parent == Path::new("") {
+            Path::new(".")
+        } else {
+            parent
+        };
+        Some(parent.canonicalize().ok()?.join(folder.file_name()?))
+    });
+    let (Some(from), Ok(to)) = (real_folder, path.canonicalize()) else {
+        return in_utf8(path);
+    };
+    let common = from.components().zip(to.components());
+    let common = common.take_while(|(a, b)| a == b).count();
+    if common == 0 {
+        return in_utf8(path);
+    }
+    let up = from.components().skip(common).map(|_| Component::ParentDir);
+    let way: PathBuf = up.chain(to.components().skip(common)).collect();
+    in_utf8(&way)
+}
+
+fn in_utf8(path: &Path) -> PathBuf {
+    path.to_string_lossy().into_owned().into()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_way_from_folder_to_recording() {
+        let parent = tempfile::tempdir().unwrap();
+        let room = parent.path().join("data/room");
+        std::fs::create_dir_all(&room).unwrap();
+        let way = |folder: &str| path_from(&parent.path().join(folder), &room);
+        assert_eq!(way("data/out"), Path::new("../room"));
+        assert_eq!(way("data/room/out"), Path::new(".."));
+        std::fs::create_dir_all(parent.path().join("runs/a")).unwrap();
+        assert_eq!(way("runs/a"), Path::new("../../data/room"));
+        assert_eq!(way("runs/b"), Path::new("../../data/room"));
+    }
 }

@@ -1,8 +1,11 @@
-//! The folder of a run and the names of its files, each of which appears complete or not at all.
+//! The folder of a run and the names of its files. It is written as a whole: see
+//! [`fgs_files::OutputFolder`].
 
-use std::fs::{self, File};
-use std::io::{self, BufWriter, Write};
+use std::fs::File;
+use std::io::{self, BufWriter};
 use std::path::{Path, PathBuf};
+
+use fgs_files::StagedFolder;
 
 use crate::error::RunError;
 
@@ -24,32 +27,14 @@ pub const PICTURES: &str = "pictures";
 /// The files that a run leaves.
 const RESULTS: [&str; 6] = [METRICS, TRAJECTORY, FRAMES, MAP, REFINED_MAP, CONFIG];
 
-/// A run's folder.
+/// The folder of a finished run.
 #[derive(Clone, Debug)]
 pub struct RunFolder {
     path: PathBuf,
 }
 
 impl RunFolder {
-    /// Makes the folder, or takes an existing one, and tries that files can be written there.
-    ///
-    /// # Errors
-    /// If not.
-    pub fn create(path: &Path) -> Result<Self, RunError> {
-        let folder = Self { path: path.into() };
-        let probe = folder.join("probe.unfinished");
-        fs::create_dir_all(path)
-            .and_then(|()| File::create(&probe))
-            .and_then(|mut file| file.write_all(b"writable"))
-            .and_then(|()| fs::remove_file(&probe))
-            .map_err(|source| RunError::OutputFolder {
-                path: path.into(),
-                source,
-            })?;
-        Ok(folder)
-    }
-
-    /// The folder of a finished run.
+    /// Opens the folder of a finished run.
     ///
     /// # Errors
     /// [`RunError::NotARun`] if it is not one.
@@ -69,20 +54,6 @@ impl RunFolder {
         RESULTS.into_iter().any(same)
     }
 
-    /// Makes the first of `NAME`, `NAME-2`, `NAME-3`, ... in `parent` that does not exist yet.
-    ///
-    /// # Errors
-    /// If no folder can be made or written to.
-    pub fn create_new(parent: &Path, name: &str) -> Result<Self, RunError> {
-        let mut path = parent.join(name);
-        let mut number = 2_u32;
-        while path.exists() {
-            path = parent.join(format!("{name}-{number}"));
-            number += 1;
-        }
-        Self::create(&path)
-    }
-
     /// Where it is.
     pub fn path(&self) -> &Path {
         &self.path
@@ -92,71 +63,16 @@ impl RunFolder {
     pub fn join(&self, name: &str) -> PathBuf {
         self.path.join(name)
     }
-
-    /// Writes a file, which appears complete or not at all, replacing one of that name.
-    ///
-    /// # Errors
-    /// If writing fails, for example because the disk is full.
-    pub fn write(
-        &self,
-        name: &str,
-        content: impl FnOnce(&mut BufWriter<File>) -> io::Result<()>,
-    ) -> Result<(), RunError> {
-        let path = self.join(name);
-        fgs_files::write_file(&path, content).map_err(|source| RunError::Write { path, source })
-    }
-
-    /// Removes the results of an earlier run, so that the folder never mixes two runs, not even if
-    /// some of the new results cannot be written.
-    pub(crate) fn clear_results(&self) {
-        for name in RESULTS {
-            // What is not there, or cannot be removed, shows when the new file is written.
-            let _ = fs::remove_file(self.join(name));
-        }
-    }
-
-    /// Makes `pictures/` and removes an earlier run's pictures from it.
-    ///
-    /// # Errors
-    /// If the folder cannot be made or cleared.
-    pub(crate) fn start_pictures(&self) -> Result<(), RunError> {
-        let pictures = self.join(PICTURES);
-        let clear = || -> io::Result<()> {
-            fs::create_dir_all(&pictures)?;
-            for entry in fs::read_dir(&pictures)? {
-                let path = entry?.path();
-                if path.extension().is_some_and(|ending| ending == "png") {
-                    fs::remove_file(&path)?;
-                }
-            }
-            Ok(())
-        };
-        clear().map_err(|source| RunError::Write {
-            path: pictures.clone(),
-            source,
-        })
-    }
 }
 
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    fn names(path: &Path) -> Vec<String> {
-        let entries = fs::read_dir(path).unwrap();
-        let mut names: Vec<_> = entries
-            .map(|e| e.unwrap().file_name().into_string().unwrap())
-            .collect();
-        names.sort();
-        names
-    }
-
-    #[test]
-    fn new_folders_are_counted() {
-        let parent = tempfile::tempdir().unwrap();
-        for _ in 0..3 {
-            RunFolder::create_new(parent.path(), "desk").unwrap();
-        }
-        assert_eq!(names(parent.path()), ["desk", "desk-2", "desk-3"]);
-    }
+/// Writes a result; returns its size in bytes.
+pub(crate) fn write(
+    results: &StagedFolder<'_>,
+    name: &str,
+    content: impl FnOnce(&mut BufWriter<File>) -> io::Result<()>,
+) -> Result<u64, RunError> {
+    let path = results.shown(name);
+    results
+        .write(name, content)
+        .map_err(|source| RunError::Write { path, source })
 }

@@ -1,13 +1,14 @@
 //! What a run leaves: in memory, and in its folder.
 
 use fgs_data::Trajectory;
+use fgs_files::StagedFolder;
 use fgs_geom::Se3;
 use fgs_splat::Gaussians;
 
 use crate::error::RunError;
 use crate::frame_log::{self, FrameRow};
 use crate::metrics::Metrics;
-use crate::run_folder::{FRAMES, MAP, REFINED_MAP, RunFolder, TRAJECTORY};
+use crate::run_folder::{FRAMES, MAP, REFINED_MAP, RunFolder, TRAJECTORY, write};
 
 /// A run's results.
 #[derive(Debug)]
@@ -35,7 +36,7 @@ impl RunResult {
         let metrics = Metrics::read(folder)?;
         let read_map = |name: &str| fgs_splat::read_ply(&folder.join(name));
         Ok(Self {
-            rows: frame_log::read(&folder.join(FRAMES))?,
+            rows: Self::read_rows(folder)?,
             trajectory: Trajectory::read(&folder.join(TRAJECTORY))?,
             gaussians: read_map(MAP)?,
             refined: match metrics.refined {
@@ -47,37 +48,49 @@ impl RunResult {
         })
     }
 
+    /// Reads what became of each frame, alone.
+    ///
+    /// # Errors
+    /// If the file is missing or damaged.
+    pub fn read_rows(folder: &RunFolder) -> Result<Vec<FrameRow>, RunError> {
+        frame_log::read(&folder.join(FRAMES))
+    }
+
     /// A frame's pose `world_from_camera`, if it has one.
     pub fn pose(&self, row: &FrameRow) -> Option<Se3> {
         self.trajectory.at(row.timestamp_secs?)
     }
 
+    /// Saves the poses.
+    pub(crate) fn save_trajectory(&self, results: &StagedFolder<'_>) -> Result<(), RunError> {
+        write(results, TRAJECTORY, |file| self.trajectory.encode(file)).map(drop)
+    }
+
     /// Saves the map and notes the size of its file.
-    pub(crate) fn save_map(&mut self, folder: &RunFolder) -> Result<(), RunError> {
-        self.metrics.map_bytes = write_map(&self.gaussians, folder, MAP)?;
+    pub(crate) fn save_map(&mut self, results: &StagedFolder<'_>) -> Result<(), RunError> {
+        self.metrics.map_bytes = write_map(&self.gaussians, results, MAP)?;
         Ok(())
     }
 
     /// Saves the refined map, if there is one, and notes the size of its file.
-    pub(crate) fn save_refined_map(&mut self, folder: &RunFolder) -> Result<(), RunError> {
+    pub(crate) fn save_refined_map(&mut self, results: &StagedFolder<'_>) -> Result<(), RunError> {
         if let (Some(gaussians), Some(metrics)) = (&self.refined, &mut self.metrics.refined) {
-            metrics.map_bytes = write_map(gaussians, folder, REFINED_MAP)?;
+            metrics.map_bytes = write_map(gaussians, results, REFINED_MAP)?;
         }
         Ok(())
     }
 
     /// Saves what became of each frame.
-    pub(crate) fn save_rows(&self, folder: &RunFolder) -> Result<(), RunError> {
-        folder.write(FRAMES, |file| frame_log::write(&self.rows, file))
+    pub(crate) fn save_rows(&self, results: &StagedFolder<'_>) -> Result<(), RunError> {
+        write(results, FRAMES, |file| frame_log::write(&self.rows, file)).map(drop)
     }
 }
 
 /// Writes a map; returns the size of its file.
-fn write_map(gaussians: &Gaussians, folder: &RunFolder, name: &str) -> Result<u64, RunError> {
-    let path = folder.join(name);
-    fgs_splat::write_ply(&path, gaussians)?;
-    match std::fs::metadata(&path) {
-        Ok(metadata) => Ok(metadata.len()),
-        Err(source) => Err(RunError::Read { path, source }),
-    }
+fn write_map(
+    gaussians: &Gaussians,
+    results: &StagedFolder<'_>,
+    name: &str,
+) -> Result<u64, RunError> {
+    write(results, name, |file| fgs_splat::encode_ply(file, gaussians))
 }

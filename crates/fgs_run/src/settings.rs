@@ -4,10 +4,9 @@
 //! Unknown keys and impossible values are refused, with file and line or with the assignment they
 //! came from.
 
-use std::fs;
 use std::path::{Path, PathBuf};
 
-use fgs_data::CameraFile;
+use fgs_data::{CameraFile, plain_words};
 use fgs_slam::{
     Execution, Holdout, KeyframeConfig, LoopConfig, MappingConfig, SeedingConfig, SlamConfig,
     SurfaceConfig, TrackingConfig,
@@ -22,6 +21,9 @@ use crate::frame_range::FrameRange;
 
 /// The commit that this library was built from; "unknown" without git.
 pub const COMMIT: &str = env!("FGS_COMMIT");
+
+/// All settings with comments take 10 kB.
+const MAX_BYTES: u64 = 1 << 20;
 
 /// A settings file: every group of [`SlamConfig`], the camera, and what a run records about itself, so
 /// that its effective settings repeat it.
@@ -59,9 +61,12 @@ pub struct RunSettings {
     /// The command line, if there was one.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub command: Option<String>,
-    /// The recording as given.
+    /// The recording, as seen from the run's folder.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub dataset: Option<PathBuf>,
+    /// Its number of frames.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub dataset_frames: Option<usize>,
     /// How tracker and mapper took turns.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub mode: Option<Execution>,
@@ -151,7 +156,8 @@ impl Settings {
             line,
             message,
         };
-        let text = fs::read_to_string(path).map_err(|error| refusal(None, error.to_string()))?;
+        let text = fgs_files::read_text(path, MAX_BYTES)
+            .map_err(|error| refusal(None, error.to_string()))?;
         let line = |at: usize| line_at(&text, at);
         let settings: Self = toml::from_str(&text).map_err(|error| {
             let at = error.span().map(|span| span.start);
@@ -218,12 +224,15 @@ fn line_at(text: &str, position: usize) -> usize {
     1 + before.filter(|byte| **byte == b'\n').count()
 }
 
+/// A parser's message in one line and in plain words.
 pub(crate) fn one_line(message: &str) -> String {
-    message.lines().map(str::trim).collect::<Vec<_>>().join(" ")
+    plain_words(&message.lines().map(str::trim).collect::<Vec<_>>().join(" "))
 }
 
 #[cfg(test)]
 mod tests {
+    use std::fs;
+
     use super::*;
 
     fn read(text: &str) -> Result<Settings, String> {
@@ -268,12 +277,12 @@ mod tests {
             ),
             (
                 "[mapping]\nprune_every = 'often'",
-                ":2: invalid type: string",
+                ":2: \"often\" is given where a whole number",
             ),
             ("seed = \n", ":1: "),
             ("[camera]\nwidth = 640", ":1: missing field"),
-            ("[run]\nmode = 'fast'", ":2: unknown variant `fast`"),
-            ("[run]\nbackend = 'abacus'", ":2: unknown variant `abacus`"),
+            ("[run]\nmode = 'fast'", ":2: unknown choice `fast`"),
+            ("[run]\nbackend = 'abacus'", ":2: unknown choice `abacus`"),
             (
                 "[run]\neval_holdout = 1",
                 ":2: one frame in 1 cannot be held out",
@@ -293,6 +302,7 @@ mod tests {
         settings.run = RunSettings {
             command: Some("fgs run \"a b\"".into()),
             dataset: Some("a b".into()),
+            dataset_frames: Some(12),
             mode: Some(Execution::Lockstep),
             backend: Some(Backend::Cpu),
             frames: Some((2..8).into()),

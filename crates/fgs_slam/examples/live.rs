@@ -3,6 +3,8 @@
 //!
 //!     cargo run --release -p fgs_slam --example live
 
+#![allow(clippy::print_stdout, reason = "an example prints")]
+
 use std::error::Error;
 use std::sync::atomic::AtomicBool;
 use std::thread;

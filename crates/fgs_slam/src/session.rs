@@ -402,6 +402,11 @@ impl Slam {
         !self.wait_until(Instant::now())
     }
 
+    /// What the mapper tells, and hears.
+    pub(crate) fn map_status(&self) -> Arc<MapStatus> {
+        Arc::clone(&self.map)
+    }
+
     /// Waits until a time; `false` as soon as the mapper is gone.
     pub(crate) fn wait_until(&self, time: Instant) -> bool {
         self.mapping.wait_until(time).is_ok()

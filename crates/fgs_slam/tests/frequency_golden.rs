@@ -2,6 +2,7 @@
 //!
 //! `tests/golden/frequency` holds drawn images with their masks and the script that made both.
 
+#![allow(clippy::print_stdout, reason = "a test prints")]
 #![allow(clippy::unwrap_used)]
 
 use std::path::{Path, PathBuf};

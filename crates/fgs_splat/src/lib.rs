@@ -34,7 +34,7 @@ pub use gpu::{DispatchCosts, GpuDevice, GpuModel, Rates, TimedStep};
 pub use gpu_error::GpuError;
 pub use losses::{ImageLoss, LossError, LossSettings, Target, photometric_loss, scale_regularizer};
 pub use model::{GaussianModel, ModelError, ModelSettings, PruneRule, Seeds, SparseId, StepStats};
-pub use ply::{PlyError, read_ply, write_ply};
+pub use ply::{PlyError, encode_ply, read_ply, write_ply};
 pub use rendering::{Cotangents, GaussianGradient, GaussianGradients, Rendered};
 pub use saved_model::{SavedModel, SavedView};
 pub use setting::SettingError;

@@ -16,7 +16,6 @@ use ply_rs_bw::ply::{
     PropertyType, ScalarType,
 };
 use ply_rs_bw::writer::Writer;
-use std::fs::File;
 use std::io::{self, BufRead, BufReader, ErrorKind, Write};
 use std::path::{Path, PathBuf};
 use thiserror::Error;
@@ -107,6 +106,20 @@ pub fn write_ply(path: &Path, gaussians: &Gaussians) -> Result<(), PlyError> {
     })
 }
 
+/// Writes what [`write_ply`] does to any writer.
+///
+/// # Errors
+/// [`ErrorKind::InvalidData`] if a parameter is not finite, and what the writer returns.
+pub fn encode_ply(writer: &mut impl Write, gaussians: &Gaussians) -> io::Result<()> {
+    for vertex in 0..gaussians.len() {
+        if let Some((property, value)) = Vertex::of(gaussians, vertex).not_finite() {
+            let what = format!("{property} of vertex {vertex} is {value}");
+            return Err(io::Error::new(ErrorKind::InvalidData, what));
+        }
+    }
+    write(writer, gaussians)
+}
+
 fn write(file: &mut impl Write, gaussians: &Gaussians) -> io::Result<()> {
     let header = header(gaussians.len());
     let writer = Writer::<Vertex>::new();
@@ -127,7 +140,7 @@ fn write(file: &mut impl Write, gaussians: &Gaussians) -> io::Result<()> {
 /// If the file cannot be read, is not PLY, does not begin with the vertices, lacks a property, is
 /// truncated or holds a value that is not finite.
 pub fn read_ply(path: &Path) -> Result<Gaussians, PlyError> {
-    let file = File::open(path).map_err(|source| PlyError::Io {
+    let file = fgs_files::open_regular(path).map_err(|source| PlyError::Io {
         path: path.to_owned(),
         source,
     })?;
@@ -261,17 +274,22 @@ impl Vertex {
     }
 
     fn check_finite(&self, path: &Path, vertex: usize) -> Result<(), PlyError> {
-        for (slot, (property, value)) in PROPERTIES.into_iter().zip(self.values).enumerate() {
-            if !value.is_finite() && !NORMAL.contains(&slot) {
-                return Err(PlyError::NotFinite {
-                    path: path.to_owned(),
-                    vertex,
-                    property,
-                    value,
-                });
-            }
+        match self.not_finite() {
+            None => Ok(()),
+            Some((property, value)) => Err(PlyError::NotFinite {
+                path: path.to_owned(),
+                vertex,
+                property,
+                value,
+            }),
         }
-        Ok(())
+    }
+
+    /// The first value that is not finite, normals apart, with its name.
+    fn not_finite(&self) -> Option<(&'static str, f32)> {
+        let values = PROPERTIES.into_iter().zip(self.values).enumerate();
+        let mut stored = values.filter(|(slot, _)| !NORMAL.contains(slot));
+        stored.find_map(|(_, (property, value))| (!value.is_finite()).then_some((property, value)))
     }
 }
 

@@ -3,9 +3,11 @@
 
 use std::ops::RangeInclusive;
 
+use fgs_geom::Number;
+
 /// A setting with a value that is not allowed.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
-#[error("{key} = {value} is not possible: it must be {expected}")]
+#[error("{key} = {} is not possible: it must be {expected}", Number(*.value))]
 pub struct SettingError {
     /// Dotted path of the setting.
     pub key: String,
@@ -47,9 +49,11 @@ impl SettingError {
     }
 
     /// # Errors
-    /// Unless the count is 1 or more.
-    pub fn unless_count(key: &str, value: usize) -> Result<(), Self> {
-        Self::unless(value > 0, key, value as f64, || "at least 1".into())
+    /// Unless the count is 1 to `max`; `reason` says why not more.
+    pub fn unless_count(key: &str, value: usize, max: usize, reason: &str) -> Result<(), Self> {
+        Self::unless((1..=max).contains(&value), key, value as f64, || {
+            format!("between 1 and {max}: {reason}")
+        })
     }
 
     /// # Errors

@@ -12,6 +12,9 @@ use serde::{Deserialize, Serialize};
 use crate::console::Console;
 use crate::failure::UsageError;
 
+/// Fifty stages take 10 kB.
+const MAX_BYTES: u64 = 1 << 20;
+
 /// A stage counts as slower when it takes more than this many times as long as it did.
 const SLOWER: f64 = 1.1;
 
@@ -61,8 +64,8 @@ impl Baseline {
     /// # Errors
     /// If the file is no baseline, or one of another machine or instruction set.
     pub fn read(path: &Path) -> anyhow::Result<Self> {
-        let text =
-            fs::read_to_string(path).with_context(|| format!("cannot read {}", path.display()))?;
+        let text = fgs_files::read_text(path, MAX_BYTES)
+            .with_context(|| format!("cannot read {}", path.display()))?;
         let baseline: Self = serde_json::from_str(&text)
             .map_err(|e| UsageError(format!("{} is no baseline: {e}", path.display())))?;
         let here = Self::of_this_machine();

@@ -63,7 +63,7 @@ impl Input {
             );
         }
         Ok(Self {
-            name: recording_name(path),
+            name: recording_name(path).to_string_lossy().into_owned(),
             dataset: Some(dataset),
             frames,
             world_from_camera,

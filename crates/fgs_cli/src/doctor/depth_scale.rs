@@ -22,8 +22,17 @@ const SNAP: f64 = 0.06;
 /// five times smaller (a scale of 5000 where it should be 1000) comes out at 0.4 to 0.65 m.
 const USUAL_MEDIAN_M: [f64; 2] = [0.7, 6.0];
 
-/// `fit` says how the registered motions fit the ground truth.
-pub fn check(depth_scale: f64, median_depth_m: Option<f64>, fit: Option<&MotionFit>) -> Check {
+/// Wrong focal lengths change the lengths of motions too, but not by more than this factor.
+const MAX_FACTOR_OF_FOCAL_LENGTHS: f64 = 2.0;
+
+/// `fit` says how the registered motions fit the ground truth; `is_camera_known`, that focal lengths were
+/// found to be right: otherwise they may be to blame.
+pub fn check(
+    depth_scale: f64,
+    median_depth_m: Option<f64>,
+    fit: Option<&MotionFit>,
+    is_camera_known: bool,
+) -> Check {
     let Some(median) = median_depth_m else {
         return Check::unknown(NAME, "there is no depth".into());
     };
@@ -35,6 +44,11 @@ pub fn check(depth_scale: f64, median_depth_m: Option<f64>, fit: Option<&MotionF
         if off > (1.0 + MAX_ERROR).ln() && off >= MIN_SIGNIFICANCE * fit.scale_error / fit.scale {
             let right = snapped(depth_scale * fit.scale);
             let seen = format!("depth is {:.2} times what the poses imply", fit.scale);
+            if !is_camera_known && off < MAX_FACTOR_OF_FOCAL_LENGTHS.ln() {
+                let advice = "depth_scale or the focal lengths are wrong, and this recording does not \
+                              show which: record one that turns more";
+                return Check::problem(NAME, seen, advice.into());
+            }
             let advice = format!("set depth_scale = {right} (it is {depth_scale})");
             return Check::problem(NAME, seen, advice);
         }
@@ -85,7 +99,7 @@ mod tests {
             scale,
             scale_error,
         };
-        check(5000.0, Some(2.0), Some(&fit))
+        check(5000.0, Some(2.0), Some(&fit), true)
     }
 
     #[test]
@@ -104,15 +118,32 @@ mod tests {
         assert_eq!(with_poses(1.25, 0.1).seen, "the median depth is 2.00 m");
     }
 
+    /// Ten per cent of focal length look like 19 % of depth.
+    #[test]
+    fn focal_lengths_may_be_to_blame() {
+        let unsure = |scale| {
+            let fit = MotionFit {
+                misfit: 0.1,
+                scale,
+                scale_error: 0.001,
+            };
+            let check = check(5000.0, Some(2.0), Some(&fit), false);
+            assert_eq!(check.verdict, Verdict::Problem);
+            check.advice.unwrap()
+        };
+        assert!(unsure(1.19).contains("depth_scale or the focal lengths"));
+        assert_eq!(unsure(0.2), "set depth_scale = 1000 (it is 5000)");
+    }
+
     #[test]
     fn without_poses_the_median_depth_must_be_usual() {
-        assert_eq!(check(5000.0, Some(2.0), None).verdict, Verdict::Ok);
-        let far = check(1000.0, Some(10.0), None);
+        assert_eq!(check(5000.0, Some(2.0), None, true).verdict, Verdict::Ok);
+        let far = check(1000.0, Some(10.0), None, true);
         assert_eq!(far.verdict, Verdict::Warn);
         assert!(far.advice.unwrap().contains("5000 (2.00 m)"));
-        let near = check(5000.0, Some(0.4), None);
+        let near = check(5000.0, Some(0.4), None, true);
         assert!(near.advice.unwrap().contains("1000 (2.00 m)"));
-        assert_eq!(check(5000.0, None, None).verdict, Verdict::Unknown);
-        assert_eq!(check(5000.0, Some(1e4), None).verdict, Verdict::Warn);
+        assert_eq!(check(5000.0, None, None, true).verdict, Verdict::Unknown);
+        assert_eq!(check(5000.0, Some(1e4), None, true).verdict, Verdict::Warn);
     }
 }

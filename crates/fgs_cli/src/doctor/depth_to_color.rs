@@ -46,6 +46,8 @@ const SIDE: usize = 2 * MAX_SHIFT as usize + 1;
 pub struct EdgeMatcher {
     /// For each frame, the agreement at each (stretch, row shift, column shift).
     scores: Vec<Vec<f32>>,
+    /// For each frame and mirror, the best agreement near its place.
+    mirrored: Vec<[f32; MIRRORS.len()]>,
     steps: usize,
     /// Pixels of the recording per pixel of the working image.
     reduction: usize,
@@ -59,6 +61,34 @@ struct Step {
     is_vertical: bool,
 }
 
+type Mirror = fn(&Step, [f32; 2]) -> Step;
+
+/// Ways to mirror a step in an image whose last pixel is given, and what they are called.
+const MIRRORS: [(Mirror, &str); 3] = [
+    (
+        |step, [right, _]| Step {
+            u: right - step.u,
+            ..*step
+        },
+        "left to right",
+    ),
+    (
+        |step, [_, bottom]| Step {
+            v: bottom - step.v,
+            ..*step
+        },
+        "top to bottom",
+    ),
+    (
+        |step, [right, bottom]| Step {
+            u: right - step.u,
+            v: bottom - step.v,
+            ..*step
+        },
+        "both ways (turned by half a turn)",
+    ),
+];
+
 impl EdgeMatcher {
     /// Adds a frame.
     pub fn add(&mut self, frame: &RgbdFrame) {
@@ -71,14 +101,65 @@ impl EdgeMatcher {
         let luma = reduced_luma(&frame.color, self.reduction);
         let (horizontal, vertical) = (edges(&luma, 1, 0), edges(&luma, 0, 1));
         self.steps += steps.len();
-        self.scores.push(agreement(&steps, &horizontal, &vertical));
+        self.scores
+            .push(agreement(&steps, &STRETCHES, &horizontal, &vertical));
+        let size = [luma.width(), luma.height()].map(|size| size as f32 - 1.0);
+        self.mirrored.push(MIRRORS.map(|(mirror, _)| {
+            let turned: Vec<Step> = steps.iter().map(|step| mirror(step, size)).collect();
+            let scores = agreement(&turned, &[0], &horizontal, &vertical);
+            let near = (0..SIDE * SIDE).filter(|place| is_near(*place, 3));
+            near.map(|place| scores[place]).fold(0.0, f32::max)
+        }));
+    }
+
+    /// How depth has to be mirrored to fit colour, if it has to be.
+    pub fn mirror(&self) -> Option<&'static str> {
+        let best = |scores: &Vec<f32>| {
+            let still = SIDE * SIDE * (STRETCHES.len() / 2);
+            let near = (0..SIDE * SIDE).filter(|place| is_near(*place, 3));
+            near.map(|place| scores[still + place]).fold(0.0, f32::max)
+        };
+        let random = self.random();
+        MIRRORS.iter().enumerate().find_map(|(i, (_, name))| {
+            let pairs = self.mirrored.iter().zip(&self.scores);
+            let values: Vec<[f64; 2]> = pairs
+                .map(|(mirrored, scores)| [mirrored[i], best(scores)].map(f64::from))
+                .collect();
+            let mean = |which: usize| {
+                values.iter().map(|value| value[which]).sum::<f64>() / values.len() as f64
+            };
+            let gain = (mean(0) - random) / (mean(1) - random).max(1e-6);
+            let differences: Vec<f64> = values.iter().map(|[a, b]| a - b).collect();
+            (self.is_enough() && gain >= MIN_GAIN && significance(&differences) >= MIN_SIGNIFICANCE)
+                .then_some(*name)
+        })
+    }
+
+    fn is_enough(&self) -> bool {
+        self.steps >= MIN_STEPS && self.scores.len() >= 3
+    }
+
+    /// The agreement at a random place.
+    fn random(&self) -> f64 {
+        let mean = |score: &Vec<f32>| {
+            score.iter().map(|x| f64::from(*x)).sum::<f64>() / score.len() as f64
+        };
+        self.scores.iter().map(mean).sum::<f64>() / self.scores.len().max(1) as f64
     }
 
     /// The verdict over all frames.
     pub fn check(&self) -> Check {
-        if self.steps < MIN_STEPS || self.scores.len() < 3 {
+        if !self.is_enough() {
             let seen = "too few depth edges to compare with colour edges".into();
             return Check::unknown(NAME, seen);
+        }
+        if let Some(mirror) = self.mirror() {
+            let seen = format!(
+                "depth edges coincide with colour edges only if depth is mirrored {mirror}"
+            );
+            let advice = "mirror the depth images, or the colour images: one of the two is written \
+                          the other way round";
+            return Check::problem(NAME, seen, advice.into());
         }
         let n = self.scores.len() as f64;
         let places = STRETCHES.len() * SIDE * SIDE;
@@ -110,15 +191,22 @@ impl EdgeMatcher {
             .iter()
             .map(|s| f64::from(s[best]) - f64::from(s[still]))
             .collect();
-        let mean = differences.iter().sum::<f64>() / n;
-        let variance = differences.iter().map(|d| (d - mean).powi(2)).sum::<f64>() / (n - 1.0);
-        let significance = mean / (variance / n).sqrt().max(1e-9);
+        let significance = significance(&differences);
         let (stretch, du, dv) = shift_at(best);
         // At the image's side edge, the shift that the stretch alone amounts to.
         let edge =
             f64::from(stretch.abs()) / 100.0 * 0.5 * self.width as f64 / self.reduction as f64;
         let size = f64::from(du).hypot(f64::from(dv)).max(edge);
         if size < MIN_SHIFT || gain < MIN_GAIN || significance < MIN_SIGNIFICANCE {
+            let over_random: Vec<f64> = self
+                .scores
+                .iter()
+                .map(|s| f64::from(s[still]) - random)
+                .collect();
+            if self::significance(&over_random) < MIN_SIGNIFICANCE {
+                let seen = "depth edges meet colour edges no more often than by chance".into();
+                return Check::unknown(NAME, seen);
+            }
             return Check::ok(NAME, "depth edges coincide with colour edges".into());
         }
         let px = |shift: i32| shift * self.reduction as i32;
@@ -138,6 +226,20 @@ impl EdgeMatcher {
     }
 }
 
+/// Mean over its standard error, of values of independent frames.
+fn significance(values: &[f64]) -> f64 {
+    let n = values.len() as f64;
+    let mean = values.iter().sum::<f64>() / n;
+    let variance = values.iter().map(|x| (x - mean).powi(2)).sum::<f64>() / (n - 1.0);
+    mean / (variance / n).sqrt().max(1e-9)
+}
+
+/// Whether a place of one stretch is that of a shift of at most so many pixels.
+fn is_near(place: usize, px: i32) -> bool {
+    let (_, du, dv) = shift_at(place);
+    du.abs() <= px && dv.abs() <= px
+}
+
 fn shift_at(place: usize) -> (i32, i32, i32) {
     let shift = |i: usize| i as i32 - MAX_SHIFT;
     let (stretch, rest) = (place / (SIDE * SIDE), place % (SIDE * SIDE));
@@ -145,11 +247,16 @@ fn shift_at(place: usize) -> (i32, i32, i32) {
 }
 
 /// The mean strength of the colour edges at the steps, for each stretch and shift.
-fn agreement(steps: &[Step], horizontal: &Image<f32>, vertical: &Image<f32>) -> Vec<f32> {
+fn agreement(
+    steps: &[Step],
+    stretches: &[i32],
+    horizontal: &Image<f32>,
+    vertical: &Image<f32>,
+) -> Vec<f32> {
     let center = [horizontal.width(), horizontal.height()].map(|size| 0.5 * (size as f32 - 1.0));
-    let mut scores = Vec::with_capacity(STRETCHES.len() * SIDE * SIDE);
-    for stretch in STRETCHES {
-        let factor = 1.0 + stretch as f32 / 100.0;
+    let mut scores = Vec::with_capacity(stretches.len() * SIDE * SIDE);
+    for stretch in stretches {
+        let factor = 1.0 + *stretch as f32 / 100.0;
         let mut sums = [0f32; SIDE * SIDE];
         let mut counts = [0u32; SIDE * SIDE];
         for step in steps {

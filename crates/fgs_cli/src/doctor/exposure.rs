@@ -21,6 +21,9 @@ const USABLE: std::ops::RangeInclusive<f64> = 10.0..=245.0;
 #[derive(Default)]
 pub struct ExposureWatch {
     previous: Vec<f64>,
+    frames: usize,
+    /// Frames in which nothing can be seen.
+    clipped: usize,
     steps: Vec<(FrameIndex, f64)>,
 }
 
@@ -33,6 +36,8 @@ impl ExposureWatch {
     /// Adds the next frame.
     pub fn add(&mut self, index: FrameIndex, color: &Image<[u8; 3]>) {
         let blocks = block_means(color);
+        self.frames += 1;
+        self.clipped += usize::from(!blocks.iter().any(|block| USABLE.contains(block)));
         let is_usable =
             |(before, after): &(&f64, &f64)| USABLE.contains(*before) && USABLE.contains(*after);
         let both = self.previous.iter().zip(&blocks).filter(is_usable);
@@ -50,6 +55,15 @@ impl ExposureWatch {
             .steps
             .iter()
             .max_by(|a, b| a.1.abs().total_cmp(&b.1.abs()));
+        if 2 * self.clipped > self.frames {
+            let seen = format!(
+                "{} of {} colour images are black or white all over",
+                self.clipped, self.frames
+            );
+            let advice = "record colour with enough light, lens uncovered; without it there is no map \
+                          worth seeing";
+            return Check::problem(NAME, seen, advice.into());
+        }
         let Some((index, step)) = largest else {
             return Check::unknown(NAME, "no two consecutive frames could be read".into());
         };

@@ -5,6 +5,7 @@
 //! the survey has collected into one line of the [`report`].
 
 mod color_misfit;
+mod depth_along_z;
 mod depth_scale;
 mod depth_to_color;
 mod exposure;
@@ -14,6 +15,7 @@ mod intrinsics;
 mod motion_fit;
 mod neighbors;
 mod pose_convention;
+mod pose_times;
 mod poses;
 mod report;
 mod self_calibration;
@@ -42,7 +44,8 @@ use crate::failure::{EXIT_DONE, EXIT_FAILED};
 
 use frame_pairs::FramePair;
 use motion_fit::Motion;
-use report::{Found, Report, Verdict};
+use pose_times::TimedMotion;
+use report::{Check, Found, Report, Verdict};
 use survey::Survey;
 
 /// Examine a recording before running it
@@ -104,8 +107,13 @@ fn examine(dataset: &Dataset, progress: impl FnMut()) -> Report {
     let frames_read = survey.frames_read();
     let pairs = &survey.pairs.pairs;
     let edges = survey.edges.check();
-    let is_registered = edges.verdict != Verdict::Problem;
+    let along_z = survey.flatness.check();
+    let is_along_z = along_z.verdict != Verdict::Problem;
+    let is_mirrored = survey.edges.mirror().is_some();
+    let is_registered = edges.verdict != Verdict::Problem && is_along_z;
     let (intrinsics, calibration) = intrinsics::check(pairs, dataset.camera(), is_registered);
+    let is_camera_known =
+        is_along_z && (intrinsics.verdict == Verdict::Ok || calibration.is_some());
     // With wrong intrinsics the registered motions are wrong too: the poses are then compared with
     // those of the intrinsics that fit.
     let first_from_second: Vec<Se3> = match &calibration {
@@ -116,6 +124,7 @@ fn examine(dataset: &Dataset, progress: impl FnMut()) -> Report {
         files::check(&survey.unreadable, frames_read),
         timing::check(&times, dataset.format() != Format::Tum),
         valid_depth::check(&survey.depth_shares),
+        along_z,
         survey.exposure.check(),
         edges,
         neighbors::check(&survey.pairs.lost, survey.depth_shares.len()),
@@ -123,28 +132,42 @@ fn examine(dataset: &Dataset, progress: impl FnMut()) -> Report {
     ];
     checks.extend(sensor_times::checks(survey.sensors, dataset.camera_file()));
     let mut motion_fit = None;
-    if let Some(truth) = dataset.ground_truth() {
-        let (motions, poses): (Vec<Motion>, Vec<[Se3; 2]>) = pairs
+    if is_mirrored && dataset.ground_truth().is_some() {
+        let seen = "cannot be compared while depth is mirrored".into();
+        checks.push(Check::unknown("poses", seen));
+    } else if let Some(truth) = dataset.ground_truth() {
+        let timed: Vec<TimedMotion> = pairs
             .iter()
             .zip(first_from_second)
-            .filter_map(|(pair, first_from_second)| {
-                let pose = [
-                    truth.at(pair.first.timestamp_secs)?,
-                    truth.at(pair.second.timestamp_secs)?,
-                ];
-                let points = probe_points(pair, dataset.camera());
-                Some((
-                    Motion {
-                        first_from_second,
-                        points,
-                    },
-                    pose,
-                ))
+            .map(|(pair, first_from_second)| TimedMotion {
+                motion: Motion {
+                    first_from_second,
+                    points: probe_points(pair, dataset.camera()),
+                },
+                times_secs: [pair.first.timestamp_secs, pair.second.timestamp_secs],
+            })
+            .collect();
+        let (motions, poses): (Vec<Motion>, Vec<[Se3; 2]>) = timed
+            .iter()
+            .filter_map(|timed| {
+                let [first, second] = timed.times_secs;
+                Some((timed.motion.clone(), [truth.at(first)?, truth.at(second)?]))
             })
             .unzip();
         let (check, fit) = poses::check(&motions, &poses);
+        let (times, fit_in_time) = pose_times::check(timed, truth);
+        motion_fit = fit_in_time.or(fit);
+        if check.verdict == Verdict::Ok || times.verdict == Verdict::Problem {
+            checks.push(times);
+        }
         checks.push(check);
-        motion_fit = fit;
+    }
+    if let Some(error) = dataset.ground_truth_error() {
+        checks.push(Check::warn(
+            "poses",
+            error.to_string(),
+            "correct the file or remove it; a run goes on without these poses".into(),
+        ));
     }
     let depth_scale = dataset.camera_file().depth_scale();
     let median_depth = statistics::median(survey.median_depths_m);
@@ -152,6 +175,7 @@ fn examine(dataset: &Dataset, progress: impl FnMut()) -> Report {
         depth_scale,
         median_depth,
         motion_fit.as_ref(),
+        is_camera_known,
     ));
     Report {
         found: found(dataset, &times, frames_read),

@@ -4,6 +4,7 @@ use fgs_geom::Se3;
 use nalgebra::Vector3;
 
 /// A registered motion, and points to measure it by.
+#[derive(Clone)]
 pub struct Motion {
     /// The registered motion.
     pub first_from_second: Se3,

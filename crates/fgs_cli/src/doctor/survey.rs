@@ -5,6 +5,7 @@ use std::ops::Range;
 use fgs_data::Dataset;
 use fgs_geom::{FrameIndex, RgbdFrame};
 
+use super::depth_along_z::FlatnessWatch;
 use super::depth_to_color::EdgeMatcher;
 use super::exposure::ExposureWatch;
 use super::frame_pairs::PairBuilder;
@@ -31,6 +32,8 @@ pub struct Survey {
     pub median_depths_m: Vec<f64>,
     /// Brightness from frame to frame.
     pub exposure: ExposureWatch,
+    /// How flat flat surfaces are.
+    pub flatness: FlatnessWatch,
     /// Agreement of depth with colour edges.
     pub edges: EdgeMatcher,
     /// Registered motions.
@@ -47,6 +50,7 @@ impl Survey {
             depth_shares: Vec::new(),
             median_depths_m: Vec::new(),
             exposure: ExposureWatch::default(),
+            flatness: FlatnessWatch::default(),
             edges: EdgeMatcher::default(),
             pairs: PairBuilder::new(*dataset.camera()),
             sensors: SensorWatch::new(*dataset.camera(), frames_to_read(dataset.len())),
@@ -85,6 +89,7 @@ impl Survey {
     fn add(&mut self, frame: &RgbdFrame, edge_every: usize) {
         if self.depth_shares.len().is_multiple_of(edge_every) {
             self.edges.add(frame);
+            self.flatness.add(&frame.depth_m, &frame.camera);
         }
         self.depth_shares
             .push((frame.index, depth_share(&frame.depth_m)));

@@ -272,6 +272,60 @@ fn faults() -> Vec<Fault> {
             "depth_delay_secs = 0.03",
         ),
         fault(
+            "depth three frames late",
+            |r| {
+                for i in 0..r.frames.len() - 3 {
+                    r.frames[i].depth_m = r.frames[i + 3].depth_m.clone();
+                }
+                r.frames.truncate(FRAMES - 3);
+            },
+            "depth delay",
+            Warn,
+            "depth_delay_secs = 0.08",
+        ),
+        fault(
+            "focal x1.1, 12 frames",
+            |r| {
+                r.frames.truncate(12);
+                r.scale_focal_length(1.1);
+            },
+            "depth scale",
+            Problem,
+            "focal lengths",
+        ),
+        fault(
+            "depth mirrored",
+            |r| r.change_depth(|d| Image::from_fn(320, 240, |u, v| d.at(319 - u, v))),
+            "depth on colour",
+            Problem,
+            "mirrored left to right",
+        ),
+        fault(
+            "depth along rays",
+            |r| {
+                let camera = r.frames[0].camera;
+                r.change_depth(|d| {
+                    Image::from_fn(320, 240, |u, v| {
+                        d.at(u, v) * camera.ray(u as f64, v as f64).norm() as f32
+                    })
+                });
+            },
+            "depth along z",
+            Problem,
+            "sqrt(1 + ",
+        ),
+        fault(
+            "black colour",
+            |r| {
+                r.frames
+                    .iter_mut()
+                    .for_each(|f| f.color = f.color.map(|_| [0; 3]));
+            },
+            "exposure",
+            Problem,
+            "black",
+        ),
+        fault(
             "inverse poses",
             |r| {
                 let p: Vec<_> = r.poses().iter().map(Se3::inverse).collect();
@@ -372,6 +426,27 @@ fn is_found(report: &Report, fault: &Fault) -> bool {
     check.verdict == fault.verdict && text.contains(fault.says)
 }
 
+/// Checks that must not call for a change where something else is wrong.
+const INNOCENT: [(&str, &[&str]); 4] = [
+    ("focal x1.1, 12 frames", &["intrinsics", "poses"]),
+    (
+        "depth mirrored",
+        &["intrinsics", "poses", "depth scale", "depth delay"],
+    ),
+    ("depth along rays", &["intrinsics", "poses", "depth scale"]),
+    (
+        "black colour",
+        &["depth on colour", "intrinsics", "poses", "depth scale"],
+    ),
+];
+
+/// Whether the check of an innocent part calls for a change.
+fn is_accused(report: &Report, fault: &Fault) -> bool {
+    let innocent = INNOCENT.iter().find(|(name, _)| *name == fault.name);
+    let mut names = innocent.iter().flat_map(|(_, names)| *names);
+    names.any(|name| check(report, name).advice.is_some())
+}
+
 /// The rates of detected faults and of false alarms; takes minutes.
 #[test]
 #[ignore = "a measurement"]
@@ -415,7 +490,8 @@ fn sound_recordings_are_not_accused() {
             report
                 .checks
                 .iter()
-                .all(|check| check.verdict == Verdict::Ok),
+                // A second is too short to tell whether poses are late.
+                .all(|check| check.verdict == Verdict::Ok || check.name == "pose times"),
             "{report}"
         );
     }
@@ -423,15 +499,18 @@ fn sound_recordings_are_not_accused() {
 
 #[test]
 fn every_fault_is_found() {
+    let mut missed = String::new();
     for fault in &faults() {
         let mut recording = Recording::new(1);
         (fault.breaks)(&mut recording);
         let report = recording.examine();
-        assert!(is_found(&report, fault), "{}\n{report}", fault.name);
-        assert_eq!(
-            report.has_problem(),
-            fault.verdict == Verdict::Problem,
-            "{report}"
-        );
+        let is_problem = fault.verdict == Verdict::Problem;
+        if !is_found(&report, fault)
+            || report.has_problem() != is_problem
+            || is_accused(&report, fault)
+        {
+            missed += &format!("{}\n{report}\n", fault.name);
+        }
     }
+    assert!(missed.is_empty(), "{missed}");
 }

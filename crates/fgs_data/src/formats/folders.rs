@@ -1,5 +1,6 @@
 //! A folder of colour images and a folder of depth images, paired in natural order of their names.
 
+use std::collections::HashSet;
 use std::path::{Path, PathBuf};
 
 use super::{Recording, frames_at_default_rate, poses};
@@ -19,6 +20,7 @@ pub(super) fn list(folder: &Path) -> Result<Recording, DataError> {
     let color_folder = color_folder(folder).unwrap_or_else(|| folder.join("rgb"));
     let colors = image_files(&color_folder)?;
     let depths = image_files(&depth_folder)?;
+    check_numbers((&color_folder, &colors), (&depth_folder, &depths))?;
     if colors.len() != depths.len() {
         return Err(DataError::CountMismatch {
             path: color_folder,
@@ -28,8 +30,8 @@ pub(super) fn list(folder: &Path) -> Result<Recording, DataError> {
         });
     }
     let frames = frames_at_default_rate(colors.into_iter().zip(depths))?;
-    let ground_truth = match poses::read_matrix_per_line(folder, &frames, &color_folder)? {
-        None => poses::read_ground_truth(folder, &frames, &color_folder)?,
+    let ground_truth = match poses::read_matrix_per_line(folder, &frames, &color_folder) {
+        Ok(None) => poses::read_ground_truth(folder, &frames, &color_folder),
         known => known,
     };
     Ok(Recording {
@@ -37,6 +39,43 @@ pub(super) fn list(folder: &Path) -> Result<Recording, DataError> {
         ground_truth,
         no_depth: 0,
     })
+}
+
+/// Where all names carry a frame's number, those of colour and depth must agree: an image that is
+/// missing would pair all after it wrongly.
+fn check_numbers(
+    (color_folder, colors): (&Path, &[PathBuf]),
+    (depth_folder, depths): (&Path, &[PathBuf]),
+) -> Result<(), DataError> {
+    let numbers = |images: &[PathBuf]| -> Option<Vec<String>> {
+        images.iter().map(|image| frame_number(image)).collect()
+    };
+    let (Some(of_colors), Some(of_depths)) = (numbers(colors), numbers(depths)) else {
+        return Ok(());
+    };
+    let lonely = |numbers: &[String], others: &[String], images: &[PathBuf], folder: &Path| {
+        let others: HashSet<&String> = others.iter().collect();
+        let place = numbers.iter().position(|number| !others.contains(number))?;
+        Some(DataError::NoPartner {
+            image: images[place].clone(),
+            folder: folder.into(),
+        })
+    };
+    lonely(&of_colors, &of_depths, colors, depth_folder)
+        .or_else(|| lonely(&of_depths, &of_colors, depths, color_folder))
+        .map_or(Ok(()), Err)
+}
+
+/// The number that a file name ends with, without leading zeros. A name that is a time has none: two
+/// sensors have their own times.
+fn frame_number(image: &Path) -> Option<String> {
+    let stem = image.file_stem()?.to_str()?;
+    let start = stem.trim_end_matches(|c: char| c.is_ascii_digit()).len();
+    if start == stem.len() || stem[..start].ends_with('.') {
+        return None;
+    }
+    let number = stem[start..].trim_start_matches('0');
+    Some(number.to_owned())
 }
 
 fn image_files(folder: &Path) -> Result<Vec<PathBuf>, DataError> {

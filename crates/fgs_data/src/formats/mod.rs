@@ -10,7 +10,10 @@ mod seven_scenes;
 mod tum;
 
 use std::fmt;
+use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
+
+use fgs_files::is_present;
 
 use crate::{DataError, Trajectory};
 
@@ -47,8 +50,8 @@ impl fmt::Display for Format {
 /// What a folder holds. There is at least one frame, and times are strictly increasing.
 pub(crate) struct Recording {
     pub frames: Vec<FrameFiles>,
-    /// The known poses at exactly the frames' times.
-    pub ground_truth: Option<Trajectory>,
+    /// The known poses at exactly the frames' times, or why they cannot be used.
+    pub ground_truth: Result<Option<Trajectory>, DataError>,
     /// The value in depth images that means "none", besides 0.
     pub no_depth: u16,
 }
@@ -64,9 +67,18 @@ impl Format {
     /// The layout of a folder, by the names in it.
     pub(crate) fn of(folder: &Path) -> Result<Self, DataError> {
         if !folder.is_dir() {
-            return Err(DataError::NotAFolder(folder.into()));
+            return Err(match folder.metadata() {
+                Err(error) if error.kind() == ErrorKind::NotFound => {
+                    DataError::NoSuchFolder(folder.into())
+                }
+                Err(source) => DataError::Io {
+                    path: folder.into(),
+                    source,
+                },
+                Ok(_) => DataError::NotAFolder(folder.into()),
+            });
         }
-        let has = |name: &str| folder.join(name).exists();
+        let has = |name: &str| is_present(&folder.join(name));
         if has("rgb.txt") || has("depth.txt") || has("associations.txt") {
             Ok(Self::Tum)
         } else if has("results") {
@@ -101,7 +113,7 @@ fn frames_at_default_rate(
     pairs: impl IntoIterator<Item = (PathBuf, PathBuf)>,
 ) -> Result<Vec<FrameFiles>, DataError> {
     let frame = |(index, (color, depth)): (usize, (PathBuf, PathBuf))| {
-        if !depth.exists() {
+        if !is_present(&depth) {
             return Err(DataError::NoDepth { color, depth });
         }
         Ok(FrameFiles {

@@ -3,11 +3,13 @@
 
 use std::path::Path;
 
+use fgs_files::is_present;
 use fgs_geom::Se3;
 use nalgebra::Matrix4;
 
 use super::{FrameFiles, no_overlap};
 use crate::lines::{Line, Lines};
+use crate::trajectory::check_position;
 use crate::{DataError, LineFault, Trajectory};
 
 /// Poses are interpolated over at most this long: a hand accelerating at 2 m/s^2 strays
@@ -21,7 +23,7 @@ pub(super) fn read_matrix_per_line(
     frames_path: &Path,
 ) -> Result<Option<Trajectory>, DataError> {
     let path = &folder.join("traj.txt");
-    if !path.exists() {
+    if !is_present(path) {
         return Ok(None);
     }
     let mut lines = Lines::open(path)?;
@@ -47,7 +49,7 @@ pub(super) fn read_ground_truth(
     frames_path: &Path,
 ) -> Result<Option<Trajectory>, DataError> {
     let path = &folder.join("groundtruth.txt");
-    if !path.exists() {
+    if !is_present(path) {
         return Ok(None);
     }
     let recorded = Trajectory::read(path)?;
@@ -84,7 +86,9 @@ pub(super) fn read_matrix(path: &Path) -> Result<Se3, DataError> {
 
 fn pose(line: &Line<'_>, row_major: [f64; 16]) -> Result<Se3, DataError> {
     let matrix = Matrix4::from_row_slice(&row_major);
-    Se3::from_matrix(&matrix)
+    let pose = Se3::from_matrix(&matrix)
         .filter(|_| row_major[12..] == [0.0, 0.0, 0.0, 1.0])
-        .ok_or_else(|| line.error(LineFault::Matrix))
+        .ok_or_else(|| line.error(LineFault::Matrix))?;
+    check_position(&pose).map_err(|fault| line.error(fault))?;
+    Ok(pose)
 }

@@ -2,7 +2,9 @@
 
 use std::path::Path;
 
-use super::{Recording, frames_at_default_rate, poses};
+use fgs_files::is_present;
+
+use super::{FrameFiles, Recording, frames_at_default_rate, poses};
 use crate::natural_order::{is_image_name, sorted_names};
 use crate::{DataError, Trajectory};
 
@@ -25,20 +27,30 @@ pub(super) fn list(folder: &Path) -> Result<Recording, DataError> {
     let frames = frames_at_default_rate(
         ids().map(|(name, id)| (folder.join(name), folder.join(format!("{id}.depth.png")))),
     )?;
-    let mut known = Vec::new();
-    for (frame, (_, id)) in frames.iter().zip(ids()) {
-        let path = folder.join(format!("{id}.pose.txt"));
-        if path.exists() {
-            known.push((frame.timestamp_secs, poses::read_matrix(&path)?));
-        }
-    }
+    let ground_truth = read_poses(folder, &frames, ids().map(|(_, id)| id));
     Ok(Recording {
-        ground_truth: (!known.is_empty())
-            .then(|| Trajectory::new(known))
-            .transpose()?,
+        ground_truth,
         frames,
         no_depth: NO_DEPTH,
     })
+}
+
+/// The poses of the frames with these names, as far as there are any.
+fn read_poses<'a>(
+    folder: &Path,
+    frames: &[FrameFiles],
+    ids: impl Iterator<Item = &'a str>,
+) -> Result<Option<Trajectory>, DataError> {
+    let mut known = Vec::new();
+    for (frame, id) in frames.iter().zip(ids) {
+        let path = folder.join(format!("{id}.pose.txt"));
+        if is_present(&path) {
+            known.push((frame.timestamp_secs, poses::read_matrix(&path)?));
+        }
+    }
+    (!known.is_empty())
+        .then(|| Trajectory::new(known))
+        .transpose()
 }
 
 /// `frame-000012` of `frame-000012.color.png`.

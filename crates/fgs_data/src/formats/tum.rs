@@ -1,6 +1,9 @@
 //! TUM RGB-D: lists of time stamps and files, paired by time.
 
+use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
+
+use fgs_files::{check_regular, is_present};
 
 use super::{FrameFiles, Recording, no_overlap, poses};
 use crate::association::associate;
@@ -10,7 +13,7 @@ use crate::{DataError, LineFault};
 pub(super) fn list(folder: &Path, max_difference_secs: f64) -> Result<Recording, DataError> {
     let associations = folder.join("associations.txt");
     let color_list = folder.join("rgb.txt");
-    let (frames, frames_path) = if associations.exists() && !color_list.exists() {
+    let (frames, frames_path) = if is_present(&associations) && !is_present(&color_list) {
         (read_associations(folder, &associations)?, associations)
     } else {
         (
@@ -19,7 +22,7 @@ pub(super) fn list(folder: &Path, max_difference_secs: f64) -> Result<Recording,
         )
     };
     Ok(Recording {
-        ground_truth: poses::read_ground_truth(folder, &frames, &frames_path)?,
+        ground_truth: poses::read_ground_truth(folder, &frames, &frames_path),
         frames,
         no_depth: 0,
     })
@@ -51,7 +54,7 @@ fn pair_lists(
 
 /// Lines of `timestamp file`: the times, strictly increasing, and the files.
 fn read_list(folder: &Path, path: &Path) -> Result<(Vec<f64>, Vec<PathBuf>), DataError> {
-    if !path.exists() {
+    if !is_present(path) {
         return Err(DataError::MissingList(path.into()));
     }
     let (mut times, mut files) = (Vec::new(), Vec::new());
@@ -94,10 +97,16 @@ fn later_time(line: &Line<'_>, column: &str, previous: Option<&f64>) -> Result<f
 
 fn existing_file(line: &Line<'_>, folder: &Path, name: &str) -> Result<PathBuf, DataError> {
     let path = folder.join(name);
-    if !path.is_file() {
-        return Err(line.error(LineFault::AbsentFile(path)));
+    match check_regular(&path) {
+        Ok(()) => Ok(path),
+        Err(error) if error.kind() == ErrorKind::NotFound => {
+            Err(line.error(LineFault::AbsentFile(path)))
+        }
+        Err(error) => Err(line.error(LineFault::NotAFile {
+            path,
+            what: error.to_string(),
+        })),
     }
-    Ok(path)
 }
 
 fn refuse_empty(path: &Path, is_empty: bool) -> Result<(), DataError> {

@@ -5,6 +5,12 @@
 //! recording with ground-truth poses. The keys are listed in `recipe.rs`; pass `camera=FILE` if DIR
 //! has no `camera.toml`.
 
+#![allow(
+    clippy::print_stdout,
+    clippy::print_stderr,
+    reason = "an example prints"
+)]
+
 mod recipe;
 mod tracker;
 

@@ -12,6 +12,8 @@
 //! frames that show less than a tenth of it; and how far the most similar keyframe with enough
 //! overlap is turned, before and after the shift is taken into account.
 
+#![allow(clippy::print_stdout, reason = "an example prints")]
+
 mod change;
 mod recording;
 

@@ -10,7 +10,7 @@ use tempfile::TempDir;
 
 use super::*;
 use crate::observer::RunEvent;
-use crate::run_folder::{FRAMES, MAP, METRICS, REFINED_MAP};
+use crate::run_folder::{MAP, REFINED_MAP, RunFolder};
 use crate::{FinishedRun, Scores, score_images};
 
 const FRAME_COUNT: usize = 3;
@@ -37,6 +37,10 @@ fn on_cpu() -> Model {
     Backend::Cpu.model(&Default::default(), None).unwrap()
 }
 
+fn saved(folder: &OutputFolder) -> Result<RunResult, RunError> {
+    RunResult::read(&RunFolder::open(folder.path())?)
+}
+
 fn run(plan: &Plan) -> Result<RunResult, RunError> {
     plan.run(on_cpu(), &mut (), &AtomicBool::new(false))
 }
@@ -45,11 +49,11 @@ fn run(plan: &Plan) -> Result<RunResult, RunError> {
 fn what_is_saved_is_what_was_returned() {
     let (_folder, plan) = room();
     let result = run(&plan).unwrap();
-    let saved = RunResult::read(&plan.folder).unwrap();
+    let saved = saved(&plan.folder).unwrap();
     assert_eq!(saved.rows, result.rows);
     assert_eq!(saved.metrics, result.metrics);
     assert_eq!(saved.gaussians, result.gaussians);
-    let settings = Settings::read(&plan.folder.join(CONFIG)).unwrap();
+    let settings = Settings::read(&plan.folder.path().join(CONFIG)).unwrap();
     assert_eq!(settings, plan.settings);
 }
 
@@ -112,34 +116,57 @@ fn a_run_whose_mapper_failed_is_saved_and_scored() {
     assert_eq!(result.metrics.failure, None);
     result.metrics.failure = Some("unplugged".into());
     plan.conclude(result, &mut (), &stop).unwrap();
-    let saved = RunResult::read(&plan.folder).unwrap();
+    let saved = saved(&plan.folder).unwrap();
     assert_eq!(saved.metrics.failure.as_deref(), Some("unplugged"));
     assert!(saved.rows.len() == FRAME_COUNT && saved.gaussians.len() > 100);
     assert!(saved.metrics.scores.get("psnr_db").is_some());
 }
 
+/// Nothing else goes with it, and earlier results stay whole.
 #[test]
 fn a_map_that_cannot_be_written_takes_nothing_else_with_it() {
-    let (_folder, plan) = room();
-    // Results of an earlier run, and a folder where the map should go.
-    let earlier = [METRICS, TRAJECTORY, FRAMES, CONFIG];
-    for name in earlier {
-        fs::write(plan.folder.join(name), "of an earlier run").unwrap();
+    let (folder, plan) = room();
+    let stop = AtomicBool::new(false);
+    let mut expected = folder.path().join("out");
+    for round in 1..=3 {
+        let mut result = drive(&plan, on_cpu(), &mut (), &stop).unwrap();
+        result.gaussians.log_scales[7][1] = f32::INFINITY;
+        let error = plan.conclude(result, &mut (), &stop).unwrap_err();
+        let message = error.to_string();
+        assert!(!error.is_usage());
+        assert!(
+            message.contains("out/map.ply: scale_1 of vertex 7 is inf"),
+            "{message}"
+        );
+        let RunError::Incomplete { saved, kept, .. } = error else {
+            panic!("{message}");
+        };
+        assert_eq!(saved, expected);
+        assert_eq!(kept.is_some(), round > 1);
+        assert!(!saved.join(MAP).exists());
+        let saved = RunFolder::open(&saved).unwrap();
+        let metrics = crate::Metrics::read(&saved).unwrap();
+        assert_eq!((metrics.frames, metrics.map_bytes), (FRAME_COUNT, 0));
+        let rows = crate::frame_log::read(&saved.join(crate::FRAMES)).unwrap();
+        assert_eq!(rows.len(), FRAME_COUNT);
+        let trajectory = fgs_data::Trajectory::read(&saved.join(crate::TRAJECTORY)).unwrap();
+        assert_eq!(trajectory.poses().len(), FRAME_COUNT);
+        Settings::read(&saved.join(CONFIG)).unwrap();
+        expected = folder.path().join(format!("out-{}", round + 1));
     }
-    let in_the_way = plan.folder.join(MAP);
-    fs::create_dir_all(in_the_way.join("sub")).unwrap();
-    let error = run(&plan).unwrap_err();
-    assert!(matches!(error, RunError::Map(_)), "{error}");
-    assert!(!error.is_usage());
-    assert!(error.to_string().contains("map.ply"), "{error}");
-    let metrics = crate::Metrics::read(&plan.folder).unwrap();
-    assert_eq!((metrics.frames, metrics.map_bytes), (FRAME_COUNT, 0));
-    assert!(metrics.scores.get("psnr_db").is_some());
-    let rows = crate::frame_log::read(&plan.folder.join(FRAMES)).unwrap();
-    assert!(rows.iter().all(|row| row.scores.get("ssim").is_some()));
-    let trajectory = fgs_data::Trajectory::read(&plan.folder.join(TRAJECTORY)).unwrap();
-    assert_eq!(trajectory.poses().len(), FRAME_COUNT);
-    Settings::read(&plan.folder.join(CONFIG)).unwrap();
+}
+
+#[test]
+fn notes_that_appear_during_a_run_are_kept_and_so_is_the_run() {
+    let (folder, plan) = room();
+    run(&plan).unwrap();
+    let map = fs::read(plan.folder.path().join(MAP)).unwrap();
+    fs::write(plan.folder.path().join("notes.txt"), "mine").unwrap();
+    let message = run(&plan).unwrap_err().to_string();
+    assert!(message.contains("notes.txt"), "{message}");
+    assert!(plan.folder.path().join("notes.txt").exists());
+    assert!(fs::read(plan.folder.path().join(MAP)).unwrap() == map);
+    assert!(fs::read(folder.path().join("out-2").join(MAP)).unwrap() == map);
 }
 
 /// Where scoring fails, everything is saved by then, and only the scores are missing.
@@ -159,7 +186,7 @@ fn frames_that_cannot_be_scored_are_saved_without_scores() {
     };
     let error = plan.conclude(result, &mut (), &stop).unwrap_err();
     assert!(matches!(error, RunError::Eval(_)), "{error}");
-    let saved = RunResult::read(&plan.folder).unwrap();
+    let saved = saved(&plan.folder).unwrap();
     assert_eq!(saved.rows.len(), FRAME_COUNT);
     assert!(saved.gaussians.len() > 100);
     assert_eq!(saved.metrics.scores.get("psnr_db"), None);
@@ -179,12 +206,12 @@ fn means(plan: &Plan, result: &RunResult, map: &Gaussians, holdout: Option<Holdo
 fn a_refined_map_has_scores_of_its_own_and_leaves_the_others_alone() {
     let (_folder, mut plan) = room();
     let plain = run(&plan).unwrap();
-    assert!(plain.metrics.refined.is_none() && !plan.folder.join(REFINED_MAP).exists());
-    let plain_map = fs::read(plan.folder.join(MAP)).unwrap();
+    assert!(plain.metrics.refined.is_none() && !plan.folder.path().join(REFINED_MAP).exists());
+    let plain_map = fs::read(plan.folder.path().join(MAP)).unwrap();
 
     plan.refine = 40;
     let result = run(&plan).unwrap();
-    assert_eq!(fs::read(plan.folder.join(MAP)).unwrap(), plain_map);
+    assert_eq!(fs::read(plan.folder.path().join(MAP)).unwrap(), plain_map);
     assert_eq!(result.metrics.scores, plain.metrics.scores);
     assert_eq!(result.metrics.iterations, plain.metrics.iterations);
     let refined = result.metrics.refined.as_ref().unwrap();
@@ -192,7 +219,9 @@ fn a_refined_map_has_scores_of_its_own_and_leaves_the_others_alone() {
         (refined.steps, refined.num_gaussians),
         (40, result.refined.as_ref().unwrap().len())
     );
-    let bytes = fs::metadata(plan.folder.join(REFINED_MAP)).unwrap().len();
+    let bytes = fs::metadata(plan.folder.path().join(REFINED_MAP))
+        .unwrap()
+        .len();
     assert_eq!(refined.map_bytes, bytes);
     assert_eq!(
         refined.scores,
@@ -206,14 +235,14 @@ fn a_refined_map_has_scores_of_its_own_and_leaves_the_others_alone() {
         );
     }
 
-    let saved = RunResult::read(&plan.folder).unwrap();
+    let saved = saved(&plan.folder).unwrap();
     assert_eq!(saved.refined, result.refined);
     assert_eq!(saved.metrics, result.metrics);
 
     // Results of another run take those of the first with them.
     plan.refine = 0;
     run(&plan).unwrap();
-    assert!(!plan.folder.join(REFINED_MAP).exists());
+    assert!(!plan.folder.path().join(REFINED_MAP).exists());
 }
 
 #[test]
@@ -268,7 +297,9 @@ fn a_finished_run_is_scored_again_with_both_maps() {
     let scored = run(&plan).unwrap().metrics;
     plan.evaluate = false;
     assert_eq!(run(&plan).unwrap().metrics.scores.get("test_ssim"), None);
-    let finished = FinishedRun::open(plan.folder.path(), None).unwrap();
+    let out = plan.folder.path().to_owned();
+    drop(plan);
+    let finished = FinishedRun::open(&out, None).unwrap();
     let never = AtomicBool::new(false);
     let again = finished.rescore(&mut (), &never).unwrap().unwrap().metrics;
     let pairs = |a: &Scores, b: &Scores| {
@@ -305,7 +336,7 @@ fn a_stop_during_refinement_saves_both_maps() {
     let result = plan.run(on_cpu(), &mut StopAt(3, &stop), &stop).unwrap();
     assert!(result.metrics.interrupted);
     assert!((3..1000).contains(&result.metrics.refined.as_ref().unwrap().steps));
-    let saved = RunResult::read(&plan.folder).unwrap();
+    let saved = saved(&plan.folder).unwrap();
     assert!(saved.gaussians.len() > 100 && saved.refined.unwrap().len() > 100);
     assert_eq!(saved.metrics.scores.get("psnr_db"), None);
 }

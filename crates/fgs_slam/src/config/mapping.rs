@@ -1,6 +1,8 @@
 //! Settings of the map: where gaussians are seeded and how they are optimised (paper, Sec. III-A
 //! and III-D).
 
+use std::ops::RangeInclusive;
+
 use fgs_splat::{LearningRates, LossSettings, SettingError};
 use serde::{Deserialize, Serialize};
 
@@ -74,12 +76,23 @@ impl Default for MappingConfig {
     }
 }
 
+/// Below, a seed is never seen; above, it is larger than any image.
+const SIGMAS_PX: RangeInclusive<f64> = 1e-3..=1e4;
+
+/// Eleven days at a thousand steps a second.
+const MAX_STEPS: usize = 1_000_000_000;
+
+/// A spacing of pixels: no image is wider.
+pub(super) fn unless_stride(key: &str, stride_px: usize) -> Result<(), SettingError> {
+    SettingError::unless_count(key, stride_px, 65_536, "no image is wider")
+}
+
 impl SeedingConfig {
     pub(super) fn validate(&self) -> Result<(), SettingError> {
-        SettingError::unless_count("high_stride_px", self.high_stride_px)?;
-        SettingError::unless_count("low_stride_px", self.low_stride_px)?;
-        SettingError::unless_positive("high_sigma_px", self.high_sigma_px)?;
-        SettingError::unless_positive("low_sigma_px", self.low_sigma_px)?;
+        unless_stride("high_stride_px", self.high_stride_px)?;
+        unless_stride("low_stride_px", self.low_stride_px)?;
+        SettingError::unless_within("high_sigma_px", self.high_sigma_px, SIGMAS_PX)?;
+        SettingError::unless_within("low_sigma_px", self.low_sigma_px, SIGMAS_PX)?;
         SettingError::unless_share("min_alpha", self.min_alpha.into())
     }
 }
@@ -88,8 +101,10 @@ impl MappingConfig {
     pub(super) fn validate(&self) -> Result<(), SettingError> {
         SettingError::unless_within("iterations_per_frame", self.iterations_per_frame, 0.0..=1e4)?;
         SettingError::unless_share("covisible_probability", self.covisible_probability)?;
-        SettingError::unless_count("max_keyframes", self.max_keyframes)?;
-        SettingError::unless_count("prune_every", self.prune_every)?;
+        let reason = "each keeps its images in memory";
+        SettingError::unless_count("max_keyframes", self.max_keyframes, 10_000, reason)?;
+        let reason = "no run takes more steps";
+        SettingError::unless_count("prune_every", self.prune_every, MAX_STEPS, reason)?;
         self.loss.validate().map_err(|e| e.within("loss"))?;
         self.learning_rates
             .validate()

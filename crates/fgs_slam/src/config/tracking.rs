@@ -4,6 +4,8 @@
 use fgs_splat::SettingError;
 use serde::{Deserialize, Serialize};
 
+use super::mapping::unless_stride;
+
 /// Registration of a frame with the sparse map (paper, Sec. III-B).
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
@@ -95,7 +97,7 @@ impl Default for KeyframeConfig {
 
 impl TrackingConfig {
     pub(super) fn validate(&self) -> Result<(), SettingError> {
-        SettingError::unless_count("grid_stride_px", self.grid_stride_px.unwrap_or(1))?;
+        unless_stride("grid_stride_px", self.grid_stride_px.unwrap_or(1))?;
         SettingError::unless_positive("max_depth_m", self.max_depth_m)?;
         SettingError::unless_positive(
             "max_correspondence_distance_m",
@@ -118,7 +120,8 @@ impl SurfaceConfig {
 impl KeyframeConfig {
     pub(super) fn validate(&self) -> Result<(), SettingError> {
         SettingError::unless_share("min_overlap_share", self.min_overlap_share)?;
-        SettingError::unless_count("mapping_every", self.mapping_every)?;
+        let reason = "no recording has more frames";
+        SettingError::unless_count("mapping_every", self.mapping_every, 1_000_000_000, reason)?;
         SettingError::unless_positive("new_point_distance_m", self.new_point_distance_m)
     }
 }

@@ -7,6 +7,8 @@ use serde::{Deserialize, Serialize};
 pub struct Budget {
     frames: usize,
     steps: usize,
+    /// Due, but not taken when the session was stopped.
+    owed: usize,
 }
 
 impl Budget {
@@ -16,7 +18,17 @@ impl Budget {
         let total = (self.frames as f64 * per_frame).floor() as usize;
         let due = total.saturating_sub(self.steps);
         self.steps = total;
-        due
+        due + self.take_owed()
+    }
+
+    /// Steps that were due are not taken now.
+    pub fn owe(&mut self, steps: usize) {
+        self.owed += steps;
+    }
+
+    /// The steps of earlier frames that are still due.
+    pub fn take_owed(&mut self) -> usize {
+        std::mem::take(&mut self.owed)
     }
 }
 

@@ -2,9 +2,12 @@
 
 use std::error::Error;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::thread;
 
+use crossbeam_channel::{RecvTimeoutError, bounded};
 use fgs_geom::RgbdFrame;
 
+use super::replay::GLANCE;
 use crate::session::{Slam, SlamError};
 
 /// Pushes each frame until they end, `stop` is set or the mapper is gone. Frames that are errors, or
@@ -14,10 +17,33 @@ pub fn drive<E: Error>(
     frames: impl Iterator<Item = Result<RgbdFrame, E>>,
     stop: &AtomicBool,
 ) {
-    for frame in frames.take_while(|_| !stop.load(Ordering::Relaxed)) {
-        if !push(slam, frame) {
-            break;
+    until_stopped(slam, stop, |slam| {
+        for frame in frames.take_while(|_| !stop.load(Ordering::Relaxed)) {
+            if !push(slam, frame) {
+                break;
+            }
         }
+    });
+}
+
+/// Does `work`, and lets the mapper take no further step once `stop` is set: a frame's steps may take
+/// minutes.
+pub fn until_stopped(slam: &mut Slam, stop: &AtomicBool, work: impl FnOnce(&mut Slam)) {
+    let map = slam.map_status();
+    thread::scope(|scope| {
+        let (working, done) = bounded::<()>(0);
+        scope.spawn(move || {
+            while let Err(RecvTimeoutError::Timeout) = done.recv_timeout(GLANCE) {
+                if stop.load(Ordering::Relaxed) {
+                    return map.stop_optimizing();
+                }
+            }
+        });
+        work(slam);
+        drop(working);
+    });
+    if stop.load(Ordering::Relaxed) {
+        slam.map_status().stop_optimizing();
     }
 }
 

@@ -13,7 +13,7 @@ use std::time::Instant;
 use crossbeam_channel::{RecvTimeoutError, TrySendError, bounded};
 use fgs_geom::RgbdFrame;
 
-use super::drive::push;
+use super::drive::{push, until_stopped};
 use super::replay::{GLANCE, MAX_WAIT};
 use crate::session::Slam;
 
@@ -46,21 +46,23 @@ pub fn live<E: Error + Send + 'static>(
             }
         }
     })?;
-    let mut alive = true;
-    while alive && !stop.load(Ordering::Relaxed) {
-        let message = frames.recv_timeout(GLANCE);
-        for _ in 0..overflowed.swap(0, Ordering::Relaxed) {
-            slam.skip_overflowed();
-        }
-        alive = match message {
-            Ok((Ok(frame), came)) if came.elapsed() > MAX_WAIT => {
-                slam.skip_late(&frame);
-                true
+    until_stopped(slam, stop, |slam| {
+        let mut alive = true;
+        while alive && !stop.load(Ordering::Relaxed) {
+            let message = frames.recv_timeout(GLANCE);
+            for _ in 0..overflowed.swap(0, Ordering::Relaxed) {
+                slam.skip_overflowed();
             }
-            Ok((frame, _)) => push(slam, frame),
-            Err(RecvTimeoutError::Timeout) => slam.wait_until(Instant::now()),
-            Err(RecvTimeoutError::Disconnected) => false,
-        };
-    }
+            alive = match message {
+                Ok((Ok(frame), came)) if came.elapsed() > MAX_WAIT => {
+                    slam.skip_late(&frame);
+                    true
+                }
+                Ok((frame, _)) => push(slam, frame),
+                Err(RecvTimeoutError::Timeout) => slam.wait_until(Instant::now()),
+                Err(RecvTimeoutError::Disconnected) => false,
+            };
+        }
+    });
     Ok(())
 }

@@ -17,7 +17,8 @@ pub struct Lockstep {
 }
 
 impl Lockstep {
-    pub fn new(worker: MapperWorker) -> Self {
+    pub fn new(mut worker: MapperWorker) -> Self {
+        worker.turn(MapperWorker::owed_steps);
         Self { worker }
     }
 }
@@ -34,7 +35,7 @@ impl Mapping for Lockstep {
                 worker.take(work)?;
                 worker.settle()?;
             }
-            (0..steps).try_for_each(|_| worker.step())
+            worker.steps(steps)
         });
         alive.then_some(()).ok_or(MapperGone)
     }

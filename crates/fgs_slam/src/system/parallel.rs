@@ -25,8 +25,7 @@ pub fn start(worker: MapperWorker) -> io::Result<MappingThread> {
                     Message::Frame(_) => worker.steps_of_next_frame(),
                     _ => 0,
                 };
-                let alive = obey(worker, message)
-                    && worker.turn(|worker| (0..steps).try_for_each(|_| worker.step()));
+                let alive = obey(worker, message) && worker.turn(|worker| worker.steps(steps));
                 if !alive {
                     break;
                 }

@@ -64,7 +64,7 @@ fn optimize_all_the_while(worker: &mut MapperWorker, messages: &Receiver<Message
         };
         let alive = match message {
             Ok(message) => obey(worker, message),
-            Err(TryRecvError::Empty) => worker.turn(MapperWorker::step),
+            Err(TryRecvError::Empty) => worker.turn(|worker| worker.steps(1)),
             Err(TryRecvError::Disconnected) => return,
         };
         if !alive {

@@ -11,7 +11,7 @@ use std::time::{Duration, Instant};
 
 use fgs_geom::RgbdFrame;
 
-use super::drive::push;
+use super::drive::{push, until_stopped};
 use crate::session::Slam;
 
 /// How long a frame may wait for the tracker: three frames at 30 a second, enough to make up for a
@@ -27,6 +27,14 @@ pub(super) const GLANCE: Duration = Duration::from_millis(20);
 /// Pushes each frame at its time until they end, `stop` is set or the mapper is gone. Frames that
 /// waited longer than 100 ms for the tracker are recorded as dropped.
 pub fn replay<E: Error>(
+    slam: &mut Slam,
+    frames: impl Iterator<Item = Result<RgbdFrame, E>>,
+    stop: &AtomicBool,
+) {
+    until_stopped(slam, stop, |slam| replay_until(slam, frames, stop));
+}
+
+fn replay_until<E: Error>(
     slam: &mut Slam,
     mut frames: impl Iterator<Item = Result<RgbdFrame, E>>,
     stop: &AtomicBool,

@@ -22,6 +22,7 @@ use crate::refinement::RefinedMap;
 /// What the mapper tells the tracking side. Bounded by the size of the map.
 #[derive(Default)]
 pub struct MapStatus {
+    is_stopped: AtomicBool,
     num_gaussians: AtomicUsize,
     steps: AtomicUsize,
     removed: Mutex<Vec<SparseId>>,
@@ -62,6 +63,11 @@ impl MapStatus {
             moved: lock(&self.moved).clone(),
             aligned: lock(&self.aligned).clone(),
         }
+    }
+
+    /// No optimisation step is taken from now on.
+    pub fn stop_optimizing(&self) {
+        self.is_stopped.store(true, Ordering::Relaxed);
     }
 
     /// Gaussians in the map.
@@ -327,6 +333,24 @@ impl MapperWorker {
     /// Whether there is a keyframe to optimise, and the map may change.
     pub fn can_optimize(&self) -> bool {
         self.mapper.has_views() && !self.is_frozen
+    }
+
+    /// So many optimisation steps, as long as they are wanted: see [`MapStatus::stop_optimizing`].
+    pub fn steps(&mut self, steps: usize) -> Result<(), MapperError> {
+        for taken in 0..steps {
+            if self.status.is_stopped.load(Ordering::Relaxed) {
+                self.budget.owe(steps - taken);
+                break;
+            }
+            self.step()?;
+        }
+        Ok(())
+    }
+
+    /// What was due when the session before this one was stopped.
+    pub fn owed_steps(&mut self) -> Result<(), MapperError> {
+        let owed = self.budget.take_owed();
+        self.steps(owed)
     }
 
     /// Moves the map with its keyframes.
