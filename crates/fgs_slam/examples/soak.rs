@@ -14,7 +14,7 @@ use fgs_synth::{SensorModel, Sequence, kinect_camera};
 
 /// Rooms of the ring, and frames once round.
 const ROOMS: usize = 5;
-const ROUND: usize = 1200;
+const ROUND: usize = 2400;
 const FRAMES_PER_LINE: usize = 200;
 
 fn main() -> Result<(), Box<dyn Error>> {

@@ -398,7 +398,6 @@ fn a_full_map_lets_go_of_what_is_seen_least_and_reports_it() {
     let left = RefCell::new(Vec::new());
     on_each_backend(|new_model| {
         let mut model = world.fill(new_model(&ModelSettings::default()));
-        model.step(FIRST).unwrap();
         let before = model.gaussians().unwrap();
         model.make_room(100, 2 * COUNT + 100).unwrap();
         assert!(model.gaussians().unwrap() == before);
