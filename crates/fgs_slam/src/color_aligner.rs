@@ -38,7 +38,7 @@ const MIN_OVERLAP: f64 = 0.6;
 pub struct ColorAligner {
     /// In the order they came.
     keyframes: VecDeque<ReferenceKeyframe>,
-    /// The points by which a frame is compared with any keyframe, however old.
+    /// The points by which a frame is compared with a keyframe, however old.
     compared: BTreeMap<KeyframeId, Vec<ReferencePoint>>,
 }
 
@@ -166,6 +166,11 @@ impl ColorAligner {
         if self.keyframes.len() > MAX_KEYFRAMES {
             self.keyframes.pop_front();
         }
+    }
+
+    /// Forgets by which points a frame is compared with a keyframe.
+    pub fn forget(&mut self, id: KeyframeId) {
+        self.compared.remove(&id);
     }
 
     /// Keyframes were moved, each by its `new_world_from_old_world`.

@@ -193,7 +193,13 @@ impl Mapper {
         let keyframe = &prepared.keyframe;
         let id = keyframe.id;
         self.state.reference = None;
-        self.model.insert(&prepared.seeds, id)?;
+        let (seeds, max) = (&prepared.seeds, self.config.mapping.max_gaussians);
+        let count = seeds.sparse_ids.len();
+        self.model.make_room(count, max)?;
+        self.model.insert(seeds, id)?;
+        if count > max {
+            self.model.make_room(0, max)?;
+        }
         self.model.add_view(id, keyframe.view(), prepared.target)?;
         let covisibility = self.model.covisibility(id)?;
         (self.state.choice).set_current(id, &covisibility, MIN_COVISIBLE_SHARE, NEWEST_FIRST);

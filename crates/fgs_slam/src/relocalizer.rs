@@ -13,6 +13,9 @@ use crate::keyframes::{Keyframe, move_pose};
 /// Keyframes that are most like a frame are tried, up to so many.
 const CANDIDATES: usize = 5;
 
+/// So many keyframes are remembered, each with at most 100 kB of corners and points to compare.
+const MAX_KEYFRAMES: usize = 1000;
+
 /// Of the random draws by which corners are told from chance.
 const SEED: u64 = 1;
 
@@ -49,20 +52,43 @@ struct KnownPlace {
     id: KeyframeId,
     world_from_camera: Se3,
     features: Features,
+    /// How similar it was to what was remembered when it came.
+    likeness: f64,
 }
 
 impl Relocalizer {
-    /// A keyframe joined the map.
-    pub fn add(&mut self, keyframe: &Keyframe) {
+    /// A keyframe joined the map. If there are too many, one is forgotten, whose name is returned: the
+    /// one that came most like an older one, since loops close best to what was seen first.
+    pub fn add(&mut self, keyframe: &Keyframe) -> Option<KeyframeId> {
         let frame = &keyframe.frame;
         let place = PlaceDescriptor::new(frame);
+        let most_similar = self.places.most_similar(&place, 1);
         self.places.add(keyframe.id, &place);
         self.newest_place = Some(place);
         self.keyframes.push(KnownPlace {
             id: keyframe.id,
             world_from_camera: keyframe.world_from_camera,
             features: Features::detect(frame),
+            likeness: most_similar.first().map_or(0.0, |like| like.similarity),
         });
+        self.forget_one_beyond(MAX_KEYFRAMES)
+    }
+
+    fn forget_one_beyond(&mut self, max: usize) -> Option<KeyframeId> {
+        if self.keyframes.len() <= max {
+            return None;
+        }
+        // The newest stays: the next frames are compared with it.
+        let known = self.keyframes.iter().enumerate().take(max);
+        let (at, _) = known.max_by(|(_, a), (_, b)| a.likeness.total_cmp(&b.likeness))?;
+        let id = self.keyframes.remove(at).id;
+        self.places.remove(id);
+        Some(id)
+    }
+
+    /// Whether a keyframe is remembered.
+    pub fn knows(&self, id: KeyframeId) -> bool {
+        self.known(id).is_some()
     }
 
     /// The last frame whose pose is trusted, and its pose.
@@ -97,7 +123,7 @@ impl Relocalizer {
         sorted((similar.iter()).filter_map(|similar| self.known(similar.id)?.guess(features)))
     }
 
-    /// All keyframes, the one most like the newest first.
+    /// All that are remembered, the one most like the newest first.
     pub fn similar_to_newest(&self) -> Vec<Similar> {
         let newest = self.newest_place.as_ref();
         newest.map_or_else(Vec::new, |newest| {
@@ -155,4 +181,52 @@ fn sorted(guesses: impl Iterator<Item = Guess>) -> Vec<Guess> {
     let mut guesses: Vec<_> = guesses.collect();
     guesses.sort_by_key(|guess| std::cmp::Reverse(guess.inliers));
     guesses
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used)]
+mod tests {
+    use fgs_synth::{SensorModel, Sequence, kinect_camera};
+
+    use super::*;
+    use crate::keyframes::KeyframeKind;
+
+    #[test]
+    fn of_too_many_keyframes_the_one_that_showed_the_least_new_is_forgotten() {
+        let camera = kinect_camera(160, 120).unwrap();
+        let rooms = [1, 2, 3].map(|room| Sequence::new(room, 40, camera, SensorModel::exact()));
+        let mut relocalizer = Relocalizer::default();
+        // The third shows what the first does, in another room than those between.
+        let frames = [(0, 0), (1, 0), (0, 1), (2, 0), (2, 9)];
+        for (id, (room, index)) in (0..).zip(frames) {
+            let forgotten = relocalizer.add(&Keyframe {
+                id: KeyframeId(id),
+                kind: KeyframeKind::Mapping,
+                frame: Arc::new(rooms[room].frame(index)),
+                world_from_camera: Se3::identity(),
+                information: None,
+                new_points: Vec::new(),
+            });
+            assert_eq!(forgotten, None);
+        }
+        let frame = rooms[0].frame(2);
+        let features = Features::detect(&frame);
+        assert_eq!(relocalizer.guesses_anywhere(&frame, &features).len(), 2);
+        assert_eq!(relocalizer.forget_one_beyond(5), None);
+        assert_eq!(relocalizer.forget_one_beyond(4), Some(KeyframeId(2)));
+        assert!(relocalizer.knows(KeyframeId(0)) && !relocalizer.knows(KeyframeId(2)));
+        assert!(
+            relocalizer
+                .relative_pose(KeyframeId(0), KeyframeId(2))
+                .is_none()
+        );
+        assert_eq!(relocalizer.similar_to_newest().len(), 4);
+        // The place is still found, by its first keyframe.
+        assert_eq!(relocalizer.guesses_anywhere(&frame, &features).len(), 1);
+        // However much the newest is like others, it stays.
+        relocalizer.forget_one_beyond(3);
+        relocalizer.forget_one_beyond(2);
+        assert_eq!(relocalizer.forget_one_beyond(1), Some(KeyframeId(0)));
+        assert!(relocalizer.knows(KeyframeId(4)));
+    }
 }

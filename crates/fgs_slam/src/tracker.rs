@@ -151,8 +151,14 @@ impl Tracker {
             let pyramid = ColorAligner::pyramid(&keyframe.frame);
             self.color.add(keyframe, &pyramid);
         }
-        self.relocalizer.add(keyframe);
+        self.remember_place(keyframe);
         self.newest_keyframe = Some(keyframe.id);
+    }
+
+    fn remember_place(&mut self, keyframe: &Keyframe) {
+        if let Some(forgotten) = self.relocalizer.add(keyframe) {
+            self.color.forget(forgotten);
+        }
     }
 
     /// Everything but the settings and the keyframes.
@@ -441,7 +447,7 @@ impl Tracker {
             if let Some(pyramid) = &pyramid {
                 self.color.add(&made, pyramid);
             }
-            self.relocalizer.add(&made);
+            self.remember_place(&made);
             self.unmapped = None;
             return Some(FrameWork::Keyframe(Box::new(made)));
         }

@@ -67,6 +67,9 @@ impl GaussianModel for BadModel {
     fn prune(&mut self, rule: &PruneRule) -> Result<(), ModelError> {
         self.model.prune(rule)
     }
+    fn make_room(&mut self, added: usize, max: usize) -> Result<(), ModelError> {
+        self.model.make_room(added, max)
+    }
     fn fade_contradicted(&mut self, view: &View, depth_m: &Image<f32>) -> Result<(), ModelError> {
         self.model.fade_contradicted(view, depth_m)
     }

@@ -8,6 +8,7 @@ use fgs_geom::{Image, KeyframeId, Se3, View};
 
 use crate::contradicted::fade_contradicted;
 use crate::gaussians::retain;
+use crate::least_useful::least_useful;
 use crate::model::{
     GaussianModel, ModelError, ModelSettings, PruneRule, Seeds, SparseId, StepStats, check_image,
     check_seeds, check_view,
@@ -137,6 +138,20 @@ impl GaussianModel for CpuModel {
             view.visible = view.visible.compacted(&new_from_old);
         }
         Ok(())
+    }
+
+    fn make_room(&mut self, added: usize, max: usize) -> Result<(), ModelError> {
+        let (count, logits) = (self.len(), &mut self.gaussians.opacity_logits);
+        let views = self.views.values();
+        let views = views.map(|view| Ok::<_, ModelError>(view.visible.words(count)));
+        let least = least_useful(logits, views, added, max)?;
+        if least.is_empty() {
+            return Ok(());
+        }
+        for i in least {
+            logits[i] = f32::NAN;
+        }
+        self.prune(&PruneRule::NOT_A_NUMBER)
     }
 
     fn fade_contradicted(&mut self, view: &View, depth_m: &Image<f32>) -> Result<(), ModelError> {

@@ -14,6 +14,7 @@ mod gaussians;
 mod gpu;
 mod gpu_error;
 mod kernel;
+mod least_useful;
 mod losses;
 mod model;
 mod ply;

@@ -37,6 +37,15 @@ pub struct PruneRule {
     pub max_aspect: f32,
 }
 
+impl PruneRule {
+    /// Removes only what has a NaN among opacity and scales.
+    pub(crate) const NOT_A_NUMBER: Self = Self {
+        min_opacity: 0.0,
+        max_scale_m: f32::MAX,
+        max_aspect: f32::MAX,
+    };
+}
+
 /// Statistics of a finished step.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct StepStats {
@@ -152,6 +161,14 @@ pub trait GaussianModel: Send {
     /// # Errors
     /// If the device fails.
     fn prune(&mut self, rule: &PruneRule) -> Result<(), ModelError>;
+
+    /// Makes room for `added` more gaussians if there would be more than `max`, and for a sixteenth of
+    /// `max` beyond: those go first that the newest 16 views do not show, then those that the fewest
+    /// views show, then the more transparent, then the older. Waits for the device.
+    ///
+    /// # Errors
+    /// If the device fails.
+    fn make_room(&mut self, added: usize, max: usize) -> Result<(), ModelError>;
 
     /// Makes gaussians yield that a measured depth image contradicts. Inferred ones whose depth is more
     /// than 5 % below the one measured at their centre's pixel are hidden: no view shows them, and

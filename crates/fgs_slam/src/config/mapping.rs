@@ -40,6 +40,10 @@ pub struct MappingConfig {
     pub covisible_probability: f64,
     /// At most so many keyframes stay in memory for optimisation.
     pub max_keyframes: usize,
+    /// At most so many gaussians stay in the map; where more are needed, those go that the newest
+    /// keyframes do not show and the fewest others do. Each takes about 200 bytes of memory, on a
+    /// graphics device 400 to 600.
+    pub max_gaussians: usize,
     /// Steps between prunings.
     pub prune_every: usize,
     /// What a rendered view is compared by.
@@ -69,6 +73,7 @@ impl Default for MappingConfig {
             iterations_per_frame: 2.8,
             covisible_probability: 0.3,
             max_keyframes: 200,
+            max_gaussians: 4_000_000,
             prune_every: 200,
             loss: LossSettings::default(),
             learning_rates: LearningRates::default(),
@@ -103,6 +108,8 @@ impl MappingConfig {
         SettingError::unless_share("covisible_probability", self.covisible_probability)?;
         let reason = "each keeps its images in memory";
         SettingError::unless_count("max_keyframes", self.max_keyframes, 10_000, reason)?;
+        let reason = "a map of so many takes 50 GB";
+        SettingError::unless_count("max_gaussians", self.max_gaussians, 100_000_000, reason)?;
         let reason = "no run takes more steps";
         SettingError::unless_count("prune_every", self.prune_every, MAX_STEPS, reason)?;
         self.loss.validate().map_err(|e| e.within("loss"))?;

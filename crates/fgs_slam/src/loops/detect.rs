@@ -110,7 +110,7 @@ pub fn candidates(
     };
     let mut near: Vec<(f64, KeyframeId)> = graph
         .poses()
-        .filter(|(id, _)| ways.is_old(*id) && !found.contains(id))
+        .filter(|(id, _)| ways.is_old(*id) && !found.contains(id) && memory.places.knows(*id))
         .filter_map(|(id, pose)| {
             let apart = pose.inverse() * *world_from_newest;
             let is_near = apart.rotation.angle()

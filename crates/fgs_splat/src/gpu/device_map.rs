@@ -216,6 +216,18 @@ impl DeviceMap {
         ))
     }
 
+    /// Makes gaussians' opacities NaN, so that any pruning takes them. Nothing may be in flight.
+    ///
+    /// # Errors
+    /// If the device fails.
+    pub fn mark_unwanted(&self, unwanted: &[usize]) -> Result<(), GpuError> {
+        let mut rows: Vec<Gaussian> = self.read_all("gaussians")?;
+        for i in unwanted {
+            rows[*i].opacity_logit = f32::NAN;
+        }
+        self.write("gaussians", bytemuck::cast_slice(&rows))
+    }
+
     /// Waits for a void pruning.
     ///
     /// # Errors

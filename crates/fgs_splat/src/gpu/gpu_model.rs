@@ -15,6 +15,7 @@ use super::timer::StageTimer;
 use super::training_views::{TrainingView, TrainingViews};
 use super::work_queue::{Work, WorkQueue};
 use crate::GpuError;
+use crate::least_useful::least_useful;
 use crate::model::{
     GaussianModel, ModelError, ModelSettings, PruneRule, Seeds, SparseId, StepStats, check_image,
     check_seeds, check_view,
@@ -108,6 +109,20 @@ impl GpuModel {
         }
     }
 
+    /// Which gaussians a view shows, by its set: i is bit `i % 32` of word `i / 32`. Nothing may be in
+    /// flight.
+    fn visible(&self, set: u32) -> Result<Vec<u32>, GpuError> {
+        let map = &self.work.map;
+        let sets = map.buffers.get("visible_sets")?;
+        let first = set as usize * map.buffers.set_words();
+        let mut visible: Vec<u32> = read(map.device(), sets, first, map.len().div_ceil(32))?;
+        if let (Some(last), used @ 1..) = (visible.last_mut(), map.len() % 32) {
+            // Pruned gaussians may have left their bits.
+            *last &= (1 << used) - 1;
+        }
+        Ok(visible)
+    }
+
     /// The last step's times with its amount of work, read back from the device.
     fn timed(&self, stages: Vec<(&'static str, f64)>, view: &View) -> Result<TimedStep, GpuError> {
         let map = &self.work.map;
@@ -177,6 +192,20 @@ impl GaussianModel for GpuModel {
         self.work.push(Work::Prune(*rule))
     }
 
+    fn make_room(&mut self, added: usize, max: usize) -> Result<(), ModelError> {
+        self.work.finish()?;
+        if self.len().saturating_add(added) <= max {
+            return Ok(());
+        }
+        let logits = self.work.map.gaussians()?.opacity_logits;
+        let sets: Vec<u32> = self.work.views.iter().map(|(_, view)| view.set).collect();
+        let views = sets.iter().map(|set| self.visible(*set));
+        let least = least_useful(&logits, views, added, max)?;
+        self.work.map.mark_unwanted(&least)?;
+        self.prune(&PruneRule::NOT_A_NUMBER)?;
+        self.work.finish()
+    }
+
     fn fade_contradicted(&mut self, view: &View, depth_m: &Image<f32>) -> Result<(), ModelError> {
         check_image(view, depth_m)?;
         self.work.finish()?;
@@ -244,26 +273,17 @@ impl GaussianModel for GpuModel {
 
     fn save(&mut self) -> Result<SavedModel, ModelError> {
         self.work.finish()?;
-        let map = &self.work.map;
-        let sets = map.buffers.get("visible_sets")?;
-        let (set_words, used_words) = (map.buffers.set_words(), map.len().div_ceil(32));
         let views = self.work.views.iter().map(|(id, training)| {
-            let first = training.set as usize * set_words;
-            let mut visible: Vec<u32> = read(map.device(), sets, first, used_words)?;
-            if let (Some(last), used @ 1..) = (visible.last_mut(), map.len() % 32) {
-                // Pruned gaussians may have left their bits.
-                *last &= (1 << used) - 1;
-            }
             Ok(SavedView {
                 id,
                 view: training.view,
-                visible,
+                visible: self.visible(training.set)?,
             })
         });
         Ok(SavedModel {
             removed: self.work.removed.clone(),
             views: views.collect::<Result<_, GpuError>>()?,
-            ..map.save()?
+            ..self.work.map.save()?
         })
     }
 

@@ -1,5 +1,7 @@
 //! What every backend promises about anchors, transparency and inferred gaussians, checked on each available one.
 
+use std::cell::RefCell;
+
 use fgs_geom::{Image, KeyframeId, Se3, View};
 use nalgebra::{UnitQuaternion, Vector3, Vector6};
 use rand::RngExt;
@@ -388,4 +390,48 @@ fn a_keyframe_of_another_exposure_is_brought_to_the_maps() {
         let (before, after) = (first_loss(false), first_loss(true));
         assert!(after <= 0.3 * before, "{before}, {after}");
     });
+}
+
+#[test]
+fn a_full_map_lets_go_of_what_is_seen_least_and_reports_it() {
+    let world = world();
+    let left = RefCell::new(Vec::new());
+    on_each_backend(|new_model| {
+        let mut model = world.fill(new_model(&ModelSettings::default()));
+        let before = model.gaussians().unwrap();
+        model.make_room(100, 2 * COUNT + 100).unwrap();
+        assert!(model.gaussians().unwrap() == before);
+        assert!(model.take_removed().unwrap().is_empty());
+
+        // 100 more, and a sixteenth of 300.
+        model.make_room(100, 2 * COUNT).unwrap();
+        assert_eq!(model.len(), 2 * COUNT - 118);
+        let removed = model.take_removed().unwrap();
+        assert_eq!(removed.len(), 118);
+        let after = model.gaussians().unwrap();
+        let kept = (0..2 * COUNT).filter(|i| !removed.contains(&SparseId(*i as u32)));
+        assert!(
+            kept.map(|i| before.means[i])
+                .eq(after.means.iter().copied())
+        );
+        // No view shows the second keyframe's: of them the more transparent are gone.
+        let opacities = |is_removed: bool| {
+            let before = &before;
+            let second = COUNT..2 * COUNT;
+            let is_gone = |i: &usize| removed.contains(&SparseId(*i as u32));
+            second
+                .filter(move |i| is_gone(i) == is_removed)
+                .map(move |i| before.opacity(i))
+        };
+        let most = opacities(true).fold(0.0, f32::max);
+        assert!(opacities(true).count() > 60 && opacities(false).all(|o| o >= most));
+        left.borrow_mut().push(removed);
+
+        // The rest goes on as before.
+        model.step(FIRST).unwrap();
+        model.make_room(0, 1).unwrap();
+        assert_eq!(model.len(), 1);
+    });
+    let left = left.borrow();
+    assert!(left.iter().all(|removed| *removed == left[0]));
 }
