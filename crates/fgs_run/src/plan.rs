@@ -17,6 +17,8 @@ use crate::map_folder::MapFolder;
 use crate::observer::RunObserver;
 use crate::pictures;
 use crate::recording::{check_size, open_recording, recording_name};
+use crate::reference;
+use crate::report::write_report;
 use crate::run_folder::{CONFIG, RunFolder, TRAJECTORY};
 use crate::run_result::RunResult;
 use crate::settings::{COMMIT, RunSettings, Settings};
@@ -221,6 +223,7 @@ impl Plan {
         folder.clear_results();
         errors.note(self.save_settings());
         errors.note(save_trajectory(&result, folder));
+        errors.note(reference::save(&result, &self.dataset, folder));
         errors.note(result.save_rows(folder));
         errors.note(result.score_trajectory(&self.dataset));
         errors.note(result.save_map(folder));
@@ -232,6 +235,7 @@ impl Plan {
             errors.note(result.metrics.write(folder));
         }
         errors.note(pictures::write_samples(&result, &self.dataset, folder));
+        errors.note(write_report(folder));
         errors.0.map_or(Ok(result), Err)
     }
 

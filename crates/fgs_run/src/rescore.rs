@@ -9,6 +9,8 @@ use crate::error::RunError;
 use crate::observer::RunObserver;
 use crate::pictures;
 use crate::recording::open_recording;
+use crate::reference;
+use crate::report::write_report;
 use crate::run_folder::{CONFIG, RunFolder};
 use crate::run_result::RunResult;
 use crate::settings::Settings;
@@ -44,8 +46,8 @@ impl FinishedRun {
         &self.dataset
     }
 
-    /// Compares trajectory and map with the recording, and writes `metrics.json`, `frames.csv` and
-    /// the pictures anew. `None` if it was stopped; then nothing is changed.
+    /// Compares trajectory and map with the recording, and writes `metrics.json`, `frames.csv`,
+    /// the pictures and the page anew. `None` if it was stopped; then nothing is changed.
     ///
     /// # Errors
     /// If a result cannot be read, scored or written.
@@ -64,6 +66,8 @@ impl FinishedRun {
         pictures::write_samples(&result, &self.dataset, &self.folder)?;
         result.save_rows(&self.folder)?;
         result.metrics.write(&self.folder)?;
+        reference::save(&result, &self.dataset, &self.folder)?;
+        write_report(&self.folder)?;
         Ok(Some(result))
     }
 }
