@@ -72,7 +72,9 @@ pub fn run(args: &DemoArgs) -> anyhow::Result<u8> {
     let (plan, model) = Plan::resolve(&options).map_err(explain)?;
     let exit_code = execute(&plan, model, console, &stop)?;
     let out = plan.folder.path().display();
-    console.say(format!("\nLook at {out}/pictures (camera on the left, map on the right), or try\n  fgs render {out} --fly-through"));
+    console.say(format!(
+        "\nOpen {out}/report.html in a browser, or try\n  fgs render {out} --fly-through"
+    ));
     Ok(exit_code)
 }
 

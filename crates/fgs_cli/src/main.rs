@@ -3,6 +3,7 @@
 
 mod bench;
 mod choices;
+mod compare;
 mod console;
 mod demo;
 mod doctor;
@@ -54,6 +55,7 @@ enum Command {
     Doctor(doctor::DoctorArgs),
     Run(run::RunArgs),
     Eval(eval::EvalArgs),
+    Compare(compare::CompareArgs),
     Render(render::RenderArgs),
     Export(export::ExportArgs),
     Synth(synth::SynthArgs),
@@ -73,6 +75,7 @@ fn main() -> ExitCode {
         Command::Doctor(args) => doctor::run(&args),
         Command::Run(args) => run::run(&args),
         Command::Eval(args) => eval::run(&args),
+        Command::Compare(args) => compare::run(&args),
         Command::Render(args) => render::run(&args),
         Command::Export(args) => export::run(&args),
         Command::Synth(args) => synth::run(&args),

@@ -50,9 +50,10 @@ results lists them all. The camera comes from --camera, else from the recording,
 --config. --camera also takes a settings file that has a [camera] table.
 
 Results: metrics.json, trajectory.txt (TUM: timestamp tx ty tz qx qy qz qw; without lost frames),
-frames.csv, map.ply, config.effective.toml, pictures/. Results already in --out are replaced when the
-run has ended. map.ply is the map at the last frame; --refine leaves it as it is and adds refined.ply,
-with scores of its own (`refined` in metrics.json).
+frames.csv, map.ply, config.effective.toml, pictures/, report.html (a page for people) and, where the
+recording has ground truth, reference.txt (the same in the run's coordinates). Results already in --out
+are replaced when the run has ended. map.ply is the map at the last frame; --refine leaves it as it is
+and adds refined.ply, with scores of its own (`refined` in metrics.json).
 
 Maps: --checkpoint-every leaves a folder NAME.map beside the results' NAME, which holds all that a later run needs.
 --resume goes on with the same recording, in lockstep with the same results as if nothing had happened.

@@ -98,7 +98,7 @@ fn a_run_that_is_killed_again_and_again_ends_with_the_same_bytes() {
     ]
     .concat();
     kill(start_and_wait(&path, &arguments, 4), Duration::ZERO);
-    assert!(!names(&path.join("cut")).contains(&"trajectory.txt".into()));
+    assert!(!path.join("cut").exists());
     let resume = ["run", "--resume", "cut"];
     for after_ms in [0, 3] {
         kill(

@@ -13,13 +13,15 @@ use common::{
 };
 use serde_json::Value;
 
-const FILES: [&str; 7] = [
+const FILES: [&str; 9] = [
     ".fgs-files",
     "config.effective.toml",
     "frames.csv",
     "map.ply",
     "metrics.json",
     "pictures",
+    "reference.txt",
+    "report.html",
     "trajectory.txt",
 ];
 
@@ -178,7 +180,40 @@ fn runs_repeat_and_can_be_scored_and_rendered() {
     assert_ne!(scored["psnr_heldout_db"], scored["psnr_valid_depth_db"]);
     assert!(scored["psnr_db"].as_f64().unwrap() >= 18.0, "{scored}");
 
+    let report = |run: &Path| fs::read_to_string(run.join("report.html")).unwrap();
+    assert!(!report(&second).contains("<code>ssim</code>"));
     run(path, &["eval", "runs/room-2"], 0);
+    for report in [report(&first), report(&second)] {
+        // The room has ground truth: errors have colours and a plot.
+        for part in [
+            "<code>ssim</code>",
+            "Position error",
+            "best-frame-",
+            "data:image/jpeg",
+        ] {
+            assert!(report.contains(part), "{part}");
+        }
+        assert!(!report.contains(&*path.to_string_lossy()));
+    }
+    run(
+        path,
+        &["compare", "runs/room", "runs/room-2", "--out", "both.html"],
+        0,
+    );
+    let comparison = fs::read_to_string(path.join("both.html")).unwrap();
+    assert!(comparison.contains("<th class=\"number\">room-2</th>"));
+    run(
+        path,
+        &[
+            "compare",
+            "runs/room",
+            "runs/room-2",
+            "--out",
+            "runs/room/map.ply",
+        ],
+        2,
+    );
+    run(path, &["compare", "runs/room", "room"], 1);
     let evaluated = metrics(&second);
     for key in IMAGE_SCORES.iter().chain(&TRAJECTORY_SCORES) {
         // Quaternions are normalised again on reading, which may change their last bits.
@@ -478,7 +513,40 @@ fn refined_runs_repeat_and_can_be_scored() {
         assert!(index % 4 != 3 || row["keyframe"].is_empty(), "{row:?}");
     }
 
+    let report = |run: &Path| fs::read_to_string(run.join("report.html")).unwrap();
+    assert!(!report(&second).contains("<code>ssim</code>"));
     run(path, &["eval", "runs/room-2"], 0);
+    for report in [report(&first), report(&second)] {
+        // The room has ground truth: errors have colours and a plot.
+        for part in [
+            "<code>ssim</code>",
+            "Position error",
+            "best-frame-",
+            "data:image/jpeg",
+        ] {
+            assert!(report.contains(part), "{part}");
+        }
+        assert!(!report.contains(&*path.to_string_lossy()));
+    }
+    run(
+        path,
+        &["compare", "runs/room", "runs/room-2", "--out", "both.html"],
+        0,
+    );
+    let comparison = fs::read_to_string(path.join("both.html")).unwrap();
+    assert!(comparison.contains("<th class=\"number\">room-2</th>"));
+    run(
+        path,
+        &[
+            "compare",
+            "runs/room",
+            "runs/room-2",
+            "--out",
+            "runs/room/map.ply",
+        ],
+        2,
+    );
+    run(path, &["compare", "runs/room", "room"], 1);
     let (scored, evaluated) = (metrics(&first), metrics(&second));
     let keys = [
         "psnr_db",

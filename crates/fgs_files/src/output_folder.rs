@@ -197,6 +197,11 @@ pub struct StagedFolder<'a> {
 }
 
 impl StagedFolder<'_> {
+    /// Where the new contents are until they are finished: to read what was written.
+    pub fn path(&self) -> &Path {
+        self.staging.path()
+    }
+
     /// Where a file will be, as the user names it: for messages.
     pub fn shown(&self, name: &str) -> PathBuf {
         self.output.shown.join(name)

@@ -47,6 +47,8 @@ mod peak_memory;
 mod pictures;
 mod plan;
 mod recording;
+mod reference;
+mod report;
 mod rescore;
 mod run_folder;
 mod run_result;
@@ -66,8 +68,11 @@ pub use observer::{RunEvent, RunObserver};
 pub use pictures::{png_bytes, write_png};
 pub use plan::{KnownMap, Plan, RunOptions};
 pub use recording::{open_recording, recording_name};
+pub use report::{comparison_page, write_report};
 pub use rescore::FinishedRun;
-pub use run_folder::{CONFIG, FRAMES, MAP, METRICS, PICTURES, REFINED_MAP, RunFolder, TRAJECTORY};
+pub use run_folder::{
+    CONFIG, FRAMES, MAP, METRICS, PICTURES, REFERENCE, REFINED_MAP, REPORT, RunFolder, TRAJECTORY,
+};
 pub use run_result::RunResult;
 pub use score_values::Scores;
 pub use scores::{FrameErrors, SCORES, Score, Shown, Source, TrajectoryErrors};

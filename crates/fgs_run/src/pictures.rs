@@ -14,11 +14,16 @@ use crate::frame_log::FrameRow;
 use crate::run_folder::{PICTURES, write};
 use crate::run_result::RunResult;
 
+/// What the name of the worst frame's picture begins with.
+pub const WORST: &str = "worst-frame";
+/// What the name of the best frame's picture begins with.
+pub const BEST: &str = "best-frame";
+
 /// How many pictures show the run, from its first to its last tracked frame.
 const SAMPLES: usize = 5;
 
 /// Writes pictures of a run, the camera's image on the left and the render on the right: some evenly
-/// spread over it and, if it was scored, that of its worst frame.
+/// spread over it and, if it was scored, those of its worst and its best frame.
 ///
 /// # Errors
 /// If writing fails.
@@ -65,8 +70,10 @@ fn choose(result: &RunResult) -> Vec<(&FrameRow, String)> {
         scores.get("psnr_valid_depth_db").or(scores.get("psnr_db"))
     };
     let scored = tracked.iter().filter_map(|row| Some((psnr(row)?, *row)));
-    if let Some((_, row)) = scored.min_by(|a, b| a.0.total_cmp(&b.0)) {
-        chosen.push((row, format!("worst-frame-{:06}", row.index)));
+    let worst = scored.clone().min_by(|a, b| a.0.total_cmp(&b.0));
+    let best = scored.max_by(|a, b| a.0.total_cmp(&b.0));
+    for (kind, frame) in [(WORST, worst), (BEST, best)] {
+        chosen.extend(frame.map(|(_, row)| (row, format!("{kind}-{:06}", row.index))));
     }
     chosen
 }

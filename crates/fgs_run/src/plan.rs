@@ -18,7 +18,9 @@ use crate::map_folder::MapFolder;
 use crate::observer::RunObserver;
 use crate::pictures;
 use crate::recording::{check_size, open_recording, path_from, recording_name};
-use crate::rescore::save_scores;
+use crate::reference;
+use crate::report::write_report;
+use crate::rescore::{save_scores, without_detours};
 use crate::run_folder::{CONFIG, write};
 use crate::run_result::RunResult;
 use crate::settings::{COMMIT, RunSettings, Settings};
@@ -140,7 +142,8 @@ impl Plan {
         };
         let dataset_path = match (&settings.run.dataset, resumed) {
             (Some(own), Some(map)) if options.dataset == Path::new("") => {
-                map.run_folder().join(own)
+                // The run may have left no results yet.
+                without_detours(&map.run_folder().join(own))
             }
             _ => options.dataset.clone(),
         };
@@ -257,12 +260,14 @@ impl Plan {
             })?;
         let mut write_errors = FirstError::default();
         write_errors.note(result.save_trajectory(&results));
+        write_errors.note(reference::save(result, &self.dataset, &results));
         write_errors.note(self.save_settings(&results));
         write_errors.note(result.save_rows(&results));
         write_errors.note(result.save_map(&results));
         write_errors.note(result.save_refined_map(&results));
         write_errors.note(result.metrics.write(&results));
         write_errors.note(pictures::write_samples(result, &self.dataset, &results));
+        write_errors.note(write_report(&results));
         write_errors.note(self.folder.check());
         let Some(error) = write_errors.0 else {
             results.finish()?;

@@ -11,7 +11,9 @@ use crate::frame_log::FrameRow;
 use crate::observer::RunObserver;
 use crate::pictures;
 use crate::recording::open_recording;
-use crate::run_folder::{CONFIG, FRAMES, METRICS, PICTURES, RunFolder};
+use crate::reference;
+use crate::report::write_report;
+use crate::run_folder::{CONFIG, FRAMES, METRICS, PICTURES, REFERENCE, REPORT, RunFolder};
 use crate::run_result::RunResult;
 use crate::score_values::Scores;
 use crate::settings::Settings;
@@ -70,9 +72,9 @@ impl FinishedRun {
         &self.dataset
     }
 
-    /// Compares trajectory and map with the recording, and writes `metrics.json`, `frames.csv` and
-    /// the pictures anew. What cannot be scored has no score then. `None` if it was stopped; then
-    /// nothing is changed.
+    /// Compares trajectory and map with the recording, and writes `metrics.json`, `frames.csv`,
+    /// the pictures and the page anew. What cannot be scored has no score then. `None` if it was
+    /// stopped; then nothing is changed.
     ///
     /// # Errors
     /// If a result cannot be read, scored or written.
@@ -112,11 +114,13 @@ pub(crate) fn save_scores(
     };
     let results = folder.begin().map_err(io_error)?;
     results
-        .carry_over(&[METRICS, FRAMES, PICTURES])
+        .carry_over(&[METRICS, FRAMES, PICTURES, REFERENCE, REPORT])
         .map_err(io_error)?;
     result.save_rows(&results)?;
     result.metrics.write(&results)?;
+    reference::save(result, dataset, &results)?;
     pictures::write_samples(result, dataset, &results)?;
+    write_report(&results)?;
     Ok(results.finish()?)
 }
 
@@ -132,7 +136,7 @@ fn from_folder(folder: &Path, recorded: &Path) -> PathBuf {
 }
 
 /// `runs/desk/../../room` is `room`.
-fn without_detours(path: &Path) -> PathBuf {
+pub(crate) fn without_detours(path: &Path) -> PathBuf {
     let mut short = PathBuf::new();
     for part in path.components() {
         let is_name = matches!(short.components().next_back(), Some(Component::Normal(_)));

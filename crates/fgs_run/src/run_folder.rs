@@ -21,11 +21,24 @@ pub const MAP: &str = "map.ply";
 pub const REFINED_MAP: &str = "refined.ply";
 /// All settings; repeats the run.
 pub const CONFIG: &str = "config.effective.toml";
+/// The recording's ground truth in the run's coordinates, if there is any.
+pub const REFERENCE: &str = "reference.txt";
+/// The page for people.
+pub const REPORT: &str = "report.html";
 /// Renders beside the input.
 pub const PICTURES: &str = "pictures";
 
 /// The files that a run leaves.
-const RESULTS: [&str; 6] = [METRICS, TRAJECTORY, FRAMES, MAP, REFINED_MAP, CONFIG];
+const RESULTS: [&str; 8] = [
+    METRICS,
+    TRAJECTORY,
+    REFERENCE,
+    FRAMES,
+    MAP,
+    REFINED_MAP,
+    CONFIG,
+    REPORT,
+];
 
 /// The folder of a finished run.
 #[derive(Clone, Debug)]

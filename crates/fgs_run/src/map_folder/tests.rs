@@ -80,14 +80,14 @@ fn read_all(folder: &Path) -> Result<(SavedSession, Vec<RgbdFrame>, Settings), R
 #[test]
 fn what_is_written_is_read() {
     let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("map");
+    let path = folder.path().join("run.map");
     let mut recorded = recorded();
     let mut writer = MapWriter::begin(&path, &Settings::default()).unwrap();
     recorded.write(3, &mut writer);
     let written = recorded.write(FRAMES, &mut writer);
     assert!(written.keyframes().len() >= 2);
     // Given the map's folder or the run's.
-    for given in [&path, folder.path()] {
+    for given in [&path, &folder.path().join("run")] {
         let (session, frames, settings) = read_all(given).unwrap();
         assert!(bytes_of(&session) == bytes_of(&written));
         assert_eq!(settings, Settings::default());
@@ -219,7 +219,7 @@ fn an_image_larger_than_the_cameras_is_refused() {
 #[test]
 fn a_map_that_cannot_be_written_ends_the_checkpoints_and_not_the_session() {
     let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("map");
+    let path = folder.path().join("run.map");
     let mut recorded = recorded();
     let writer = MapWriter::begin(&path, &Settings::default()).unwrap();
     let mut checkpoints = Checkpoints::begin(Duration::ZERO, writer, &mut recorded.slam);
