@@ -1,4 +1,4 @@
-//! A camera goes to and fro through a ring of rooms for as long as wanted: memory, and time per frame.
+//! A camera goes round and round a room for as long as wanted: memory, and time per frame.
 //!
 //!     cargo run --release -p fgs_slam --example soak -- SECONDS MAX_GAUSSIANS
 //!
@@ -7,14 +7,12 @@
 use std::error::Error;
 use std::time::{Duration, Instant};
 
-use fgs_geom::FrameIndex;
 use fgs_slam::{Execution, FrameStatus, Slam, SlamConfig, SlamEvent, model_settings};
 use fgs_splat::CpuModel;
 use fgs_synth::{SensorModel, Sequence, kinect_camera};
 
-/// Rooms of the ring, and frames once round.
-const ROOMS: usize = 5;
-const ROUND: usize = 2400;
+/// Frames once round the room, back to where the camera began.
+const ROUND: usize = 600;
 const FRAMES_PER_LINE: usize = 200;
 
 fn main() -> Result<(), Box<dyn Error>> {
@@ -26,7 +24,7 @@ fn main() -> Result<(), Box<dyn Error>> {
         config.mapping.max_gaussians = max.parse()?;
     }
     let camera = kinect_camera(160, 120)?;
-    let sequence = Sequence::around_rooms(3, ROOMS, ROUND, camera, SensorModel::kinect());
+    let sequence = Sequence::new(3, ROUND, camera, SensorModel::kinect());
     let model = CpuModel::new(model_settings(&config.mapping));
     let mut slam = Slam::new(&camera, &config, Execution::Lockstep, Box::new(model))?;
     println!("frame,memory_mb,ms_per_frame,gaussians,keyframes,tracked,position_error_m");
@@ -34,11 +32,8 @@ fn main() -> Result<(), Box<dyn Error>> {
     let looker_on = slam.subscribe(10);
     let (mut frame_number, mut gaussians) = (0, 0);
     while start.elapsed().as_secs_f64() < seconds {
-        let turn = frame_number % (2 * ROUND - 2);
-        let place = turn.min(2 * ROUND - 2 - turn);
-        let mut frame = sequence.frame(place);
-        frame.index = FrameIndex(frame_number);
-        frame.timestamp_secs = frame_number as f64 / 30.0;
+        // Past its last frame the sequence goes on with the next round.
+        let frame = sequence.frame(frame_number);
         let before = Instant::now();
         let result = slam.push(frame)?;
         busy += before.elapsed();
@@ -50,8 +45,8 @@ fn main() -> Result<(), Box<dyn Error>> {
             }
         }
         if frame_number.is_multiple_of(FRAMES_PER_LINE) {
-            let world_from_camera =
-                sequence.world_from_camera(0).inverse() * sequence.world_from_camera(place);
+            let world_from_camera = sequence.world_from_camera(0).inverse()
+                * sequence.world_from_camera(result.index.0);
             let error_m = result.world_from_camera.map_or(f64::NAN, |pose| {
                 (pose.translation - world_from_camera.translation).norm()
             });

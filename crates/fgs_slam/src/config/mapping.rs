@@ -42,7 +42,9 @@ pub struct MappingConfig {
     pub max_keyframes: usize,
     /// At most so many gaussians stay in the map; where more are needed, those go that the newest
     /// keyframes do not show and the fewest others do. Each takes about 200 bytes of memory, on a
-    /// graphics device 400 to 600.
+    /// graphics device 400 to 600. Where the camera stays in a place that needs more, poses drift: what
+    /// it comes back to is gone (two centimetres in four rounds of a room with 60 % of what it needs, ten
+    /// with 20 %).
     pub max_gaussians: usize,
     /// Steps between prunings.
     pub prune_every: usize,
