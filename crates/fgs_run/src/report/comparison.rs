@@ -1,5 +1,6 @@
 //! Several runs on one page.
 
+use std::collections::BTreeMap;
 use std::io;
 use std::path::Path;
 
@@ -14,6 +15,7 @@ use super::plot::{Line, frame_range, line_plot, stretches};
 use super::plot_error;
 use super::run_data::RunData;
 use super::run_page::{plot, views};
+use super::setting_changes::setting_changes;
 use super::strips::{VERDICTS, verdict_strip};
 use crate::error::RunError;
 use crate::run_folder::{REPORT, RunFolder};
@@ -75,6 +77,7 @@ fn compare(runs: &[RunData]) -> io::Result<String> {
             scene.add_path(&places, 1, |_| color);
         }
     }
+    let settings = differing_settings(runs);
     let statuses = VERDICTS.map(|(status, color)| (color, status.to_string()));
     let names = legend(colored().map(|(run, color)| (color, run.name.as_str())));
     let content = html! {
@@ -93,6 +96,15 @@ fn compare(runs: &[RunData]) -> io::Result<String> {
                 }
             }
         }
+        h3 { "Settings that differ" }
+        @if settings.is_empty() { p.note { "None." } } @else {
+            table {
+                tr { th { "Setting" } @for run in runs { th { (run.name) } } }
+                @for (key, values) in &settings {
+                    tr { td { code { (key) } } @for value in values { td { code { (value) } } } }
+                }
+            }
+        }
         h2 { "Trajectories" } (views(&scene)?)
         p.note { "Metres, each in the axes of its own map's first camera." }
         h2 { "Over the frames" } (names)
@@ -101,4 +113,18 @@ fn compare(runs: &[RunData]) -> io::Result<String> {
         @for (measure, svg) in &plots { (plot(measure, svg)) }
     };
     Ok(page("Comparison of fgs-slam runs", &content))
+}
+
+/// Settings that are not the same in all runs, with the value in each; empty where a setting was not given
+/// and has no default.
+fn differing_settings(runs: &[RunData]) -> BTreeMap<String, Vec<String>> {
+    let mut settings: BTreeMap<String, Vec<String>> = BTreeMap::new();
+    for (place, run) in runs.iter().enumerate() {
+        for change in setting_changes(&run.settings) {
+            let defaults = || vec![change.default; runs.len()];
+            settings.entry(change.key).or_insert_with(defaults)[place] = change.value;
+        }
+    }
+    settings.retain(|_, values| values.iter().any(|value| *value != values[0]));
+    settings
 }

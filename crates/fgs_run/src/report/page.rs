@@ -13,7 +13,7 @@ tr { border-bottom: 1px solid #e6e6e6 } td.number, th.number { text-align: right
 td.meaning { color: #666 } code { font-size: 13px; overflow-wrap: anywhere }
 svg, img { max-width: 100%; height: auto; display: block }
 .row { display: flex; gap: 8px } .row > * { flex: 1; min-width: 0; margin: 0 }
-.legend span { margin-right: 16px; white-space: nowrap }
+.legend > span { margin-right: 16px; white-space: nowrap }
 .swatch { display: inline-block; width: 12px; height: 12px; margin-right: 5px; vertical-align: -1px }
 figure, .plot { break-inside: avoid } figcaption { color: #666 }
 @media print { body { margin: 0; max-width: none } * { print-color-adjust: exact; -webkit-print-color-adjust: exact } }
@@ -47,10 +47,10 @@ pub fn legend<'a>(entries: impl IntoIterator<Item = (RGBColor, &'a str)>) -> Mar
     }
 }
 
-/// A number for people: four digits, or all of a large one.
+/// A number for people: four digits, or all of a whole or large one.
 pub fn number(value: f64) -> String {
-    if value == 0.0 {
-        return "0".into();
+    if value.fract() == 0.0 && value.abs() < 1e15 {
+        return format!("{value:.0}");
     }
     let magnitude = value.abs().log10().floor();
     if (-6.0..15.0).contains(&magnitude) {

@@ -69,7 +69,11 @@ pub fn line_plot(lines: &[Line], frames: Range<f64>, from_zero: bool) -> io::Res
     let (low, high) = bounds(points.map(|point| point.1)).unwrap_or((0.0, 1.0));
     let low = if from_zero { low.min(0.0) } else { low };
     // A constant needs an axis too.
-    let room = (0.05 * (high - low)).max(1e-3 * high.abs()).max(1e-6);
+    let room = match (high - low, high.abs()) {
+        (0.0, 0.0) => 1.0,
+        (0.0, constant) => 0.1 * constant,
+        (extent, _) => 0.05 * extent,
+    };
     let values = if low == 0.0 { 0.0 } else { low - room }..high + room;
     svg((WIDTH, HEIGHT), |area| {
         let mut chart = ChartBuilder::on(area)

@@ -119,7 +119,7 @@ fn trajectory(run: &RunData) -> io::Result<Markup> {
     for (before, after) in paths.iter().zip(paths.iter().skip(1)) {
         let gap = [before.last(), after.first()].map(|place| place.and_then(at));
         let gap: Vec<_> = gap.into_iter().flatten().collect();
-        scene.add_path(&gap, 1, |_| LOST);
+        scene.add_path(&gap, 2, |_| LOST);
     }
     for path in &paths {
         let places: Vec<_> = path.iter().filter_map(at).collect();

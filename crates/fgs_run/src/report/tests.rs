@@ -136,7 +136,12 @@ fn texts_from_files_are_escaped() {
 fn a_comparison_has_a_column_for_each_run() {
     let parent = tempfile::tempdir().unwrap();
     let folders = ["first", "second", "third"].map(|name| run_folder(parent.path(), name, "x"));
+    let settings = Settings::load(None, &["seed=78".into()]).unwrap();
+    fs::write(folders[2].join(CONFIG), settings.to_toml().unwrap()).unwrap();
     let page = comparison_page(&folders).unwrap();
+    let seeds =
+        "<code>seed</code></td><td><code>77</code></td><td><code>77</code></td><td><code>78</code>";
+    assert!(page.contains(seeds));
     assert_eq!(page.matches("0.01250").count(), 3);
     check(&page, |document| {
         let nodes = document.descendants();
