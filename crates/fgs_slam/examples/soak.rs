@@ -4,6 +4,8 @@
 //!
 //! Prints a line of CSV every 200 frames. Memory is what the process has in use (Linux only).
 
+#![allow(clippy::print_stdout, reason = "an example prints")]
+
 use std::error::Error;
 use std::time::{Duration, Instant};
 
