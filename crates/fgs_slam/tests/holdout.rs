@@ -77,6 +77,9 @@ fn a_keyframe_is_put_off_to_the_next_frame() {
             let mut frame = sequence.frame(0);
             frame.index = FrameIndex(i);
             frame.timestamp_secs = i as f64 / 30.0;
+            // No camera takes the same image twice; one that comes twice is not a new frame.
+            frame.color.set(0, 0, [i as u8; 3]);
+            frame.depth_m.set(0, 0, 1.0 + 0.001 * i as f32);
             Ok(frame)
         })
         .collect();
