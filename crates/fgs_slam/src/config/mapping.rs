@@ -110,7 +110,7 @@ impl MappingConfig {
         SettingError::unless_share("covisible_probability", self.covisible_probability)?;
         let reason = "each keeps its images in memory";
         SettingError::unless_count("max_keyframes", self.max_keyframes, 10_000, reason)?;
-        let reason = "a map of so many takes 50 GB";
+        let reason = "so many take 20 GB of memory";
         SettingError::unless_count("max_gaussians", self.max_gaussians, 100_000_000, reason)?;
         let reason = "no run takes more steps";
         SettingError::unless_count("prune_every", self.prune_every, MAX_STEPS, reason)?;
