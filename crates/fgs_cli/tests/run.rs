@@ -208,6 +208,8 @@ fn runs_repeat_and_can_be_scored_and_rendered() {
             assert!(report.contains(part), "{part}");
         }
         assert!(!report.contains(&*path.to_string_lossy()));
+        // Named as the folder that it ends up in.
+        assert!(report.contains("<h1>room"));
     }
     run(
         path,

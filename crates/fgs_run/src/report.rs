@@ -32,14 +32,15 @@ use crate::run_folder::{REPORT, RunFolder, write};
 /// # Errors
 /// If a result is missing or damaged, or the page cannot be written.
 pub fn write_report(results: &StagedFolder<'_>) -> Result<(), RunError> {
-    let page = report_of(&RunFolder::open(results.path())?)?;
+    let mut run = RunData::read(&RunFolder::open(results.path())?)?;
+    // What is not finished has another name.
+    run.name = run_data::file_name(&results.shown(""));
+    let page = page_of(&run, results.shown(REPORT))?;
     write(results, REPORT, |file| file.write_all(page.as_bytes())).map(drop)
 }
 
-/// The page of the run in a folder.
-fn report_of(folder: &RunFolder) -> Result<String, RunError> {
-    let run = RunData::read(folder)?;
-    run_page::run_page(&run).map_err(|source| plot_error(folder.join(REPORT), source))
+fn page_of(run: &RunData, path: PathBuf) -> Result<String, RunError> {
+    run_page::run_page(run).map_err(|source| plot_error(path, source))
 }
 
 fn plot_error(path: PathBuf, source: std::io::Error) -> RunError {

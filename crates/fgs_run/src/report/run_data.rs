@@ -83,7 +83,7 @@ impl RunData {
 }
 
 /// The last part of a path, also for paths such as `.`.
-fn file_name(path: &Path) -> String {
+pub fn file_name(path: &Path) -> String {
     let named = |path: &Path| Some(path.file_name()?.to_string_lossy().into_owned());
     named(path)
         .or_else(|| named(&path.canonicalize().ok()?))

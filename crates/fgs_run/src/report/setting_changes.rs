@@ -19,6 +19,7 @@ pub fn setting_changes(settings: &Settings) -> Vec<SettingChange> {
         run: RunSettings {
             command: None,
             dataset: None,
+            dataset_frames: None,
             commit: None,
             ..settings.run.clone()
         },

@@ -9,7 +9,7 @@ use fgs_slam::{FrameStatus, KeyframeKind};
 use roxmltree::{Document, ParsingOptions};
 use tempfile::TempDir;
 
-use super::{comparison_page, report_of};
+use super::{RunData, comparison_page, page_of};
 use crate::frame_log::{self, FrameRow};
 use crate::pictures::write_png;
 use crate::run_folder::{CONFIG, FRAMES, METRICS, PICTURES, REFERENCE, RunFolder, TRAJECTORY};
@@ -69,11 +69,14 @@ fn run_folder(parent: &Path, name: &str, text: &str) -> PathBuf {
     folder
 }
 
+fn page(folder: &RunFolder) -> String {
+    page_of(&RunData::read(folder).unwrap(), folder.path().into()).unwrap()
+}
+
 fn report(text: &str) -> (TempDir, String) {
     let parent = tempfile::tempdir().unwrap();
     let folder = RunFolder::open(&run_folder(parent.path(), "desk", text)).unwrap();
-    let page = report_of(&folder).unwrap();
-    (parent, page)
+    (parent, page(&folder))
 }
 
 /// Parses a page as XML, which is stricter than HTML, after `meta` is closed.
@@ -167,7 +170,7 @@ fn a_page_of_a_run_that_saw_nothing_can_be_made() {
         vec![huge],
     ] {
         frame_log::write(&rows, fs::File::create(path.join(FRAMES)).unwrap()).unwrap();
-        let page = report_of(&folder).unwrap();
+        let page = page(&folder);
         assert!(page.contains("No frame has a pose."));
         assert!(!page.contains("NaN"));
     }
