@@ -1,5 +1,5 @@
 //! What moves: parts of a frame that stand where earlier frames saw through. They are left out of that
-//! frame, for tracking and for the map; what has stood still for a few seconds is taken in.
+//! frame, for tracking and for the map; what has stood still for long enough is taken in.
 //!
 //! Differs from the paper, which takes the world to be still.
 
@@ -112,16 +112,19 @@ impl MovingThings {
 
     /// A frame whose pose is trusted, with all that it shows, and what moves in it.
     pub fn observe(&mut self, frame: &RgbdFrame, world_from_camera: &Se3, moving: Option<&Moving>) {
-        let newest = self.seen.back();
-        if newest.is_some_and(|seen| frame.timestamp_secs - seen.timestamp_secs < INTERVAL_SECS) {
+        let now_secs = frame.timestamp_secs;
+        let is_recent =
+            |seen: &Seen| (0.0..INTERVAL_SECS).contains(&(now_secs - seen.timestamp_secs));
+        if self.seen.back().is_some_and(is_recent) {
             return;
         }
-        let horizon = frame.timestamp_secs - KEPT as f64 * INTERVAL_SECS;
-        self.seen.retain(|seen| seen.timestamp_secs >= horizon);
+        // Where stamps have gone back, nothing is known of what was before.
+        let kept = now_secs - KEPT as f64 * INTERVAL_SECS..=now_secs;
+        self.seen.retain(|seen| kept.contains(&seen.timestamp_secs));
         let cells = Cells::new(frame);
         let (width, height) = (cells.nearest_m.width(), cells.nearest_m.height());
         self.seen.push_back(Seen {
-            timestamp_secs: frame.timestamp_secs,
+            timestamp_secs: now_secs,
             world_from_camera: *world_from_camera,
             free_to_m: cells.nearest_around(),
             moved_secs: moving.map_or_else(
@@ -432,6 +435,19 @@ mod tests {
             shares[taken_in..].iter().all(|share| *share == 0.0),
             "{shares:?}"
         );
+    }
+
+    #[test]
+    fn stamps_that_go_back_begin_anew() {
+        let mut things = MovingThings::default();
+        for secs in [10.0, 10.2, 10.6, 11.2] {
+            things.observe(&frame(secs, 0.0, &camera(0.0)), &camera(0.0), None);
+        }
+        assert_eq!(things.seen.len(), 3);
+        things.observe(&frame(1.0, 0.4, &camera(0.0)), &camera(0.0), None);
+        assert_eq!(things.seen.len(), 1);
+        let again = frame(1.1, 0.4, &camera(0.0));
+        assert!(things.find(&again, &camera(0.0)).is_none());
     }
 
     #[test]
