@@ -18,7 +18,9 @@ pub struct Lockstep {
 
 impl Lockstep {
     pub fn new(mut worker: MapperWorker) -> Self {
-        worker.turn(MapperWorker::owed_steps);
+        if worker.owes_steps() {
+            worker.turn(MapperWorker::owed_steps);
+        }
         Self { worker }
     }
 }

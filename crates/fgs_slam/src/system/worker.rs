@@ -347,6 +347,11 @@ impl MapperWorker {
         Ok(())
     }
 
+    /// Whether steps were due when the session before this one was stopped.
+    pub fn owes_steps(&self) -> bool {
+        self.budget.owes()
+    }
+
     /// What was due when the session before this one was stopped.
     pub fn owed_steps(&mut self) -> Result<(), MapperError> {
         let owed = self.budget.take_owed();
