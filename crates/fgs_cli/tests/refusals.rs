@@ -7,9 +7,9 @@ mod common;
 
 use std::fs;
 use std::path::Path;
-#[cfg(unix)]
-use std::process::Command;
 
+#[cfg(unix)]
+use common::limited;
 use common::{fgs, folder_with_recording, frame_files, names, run, stderr, stdout};
 
 /// Expects a refusal in one line that holds all of `parts`.
@@ -218,12 +218,9 @@ fn output_that_cannot_be_written() {
 #[cfg(unix)]
 fn a_disk_that_fills_up() {
     let folder = folder_with_recording();
-    let limited = "trap '' XFSZ; ulimit -f 40; exec \"$0\" run room --out out --frames 0..6";
-    let output = Command::new("sh")
-        .current_dir(folder.path())
-        .args(["-c", limited, env!("CARGO_BIN_EXE_fgs")])
-        .output()
-        .unwrap();
+    let limits = "trap '' XFSZ; ulimit -f 40";
+    let arguments = "run room --out out --frames 0..6";
+    let output = limited(folder.path(), limits, arguments).output().unwrap();
     let message = stderr(&output);
     assert_eq!(output.status.code(), Some(1), "{message}");
     assert!(

@@ -8,6 +8,8 @@ use std::collections::HashMap;
 use std::fs;
 use std::path::Path;
 
+#[cfg(unix)]
+use common::interrupt_at;
 use common::{
     FRAMES, fgs, folder_with_recording, frame_files, metrics, names, rows, run, stderr, stdout,
 };
@@ -584,27 +586,9 @@ fn refined_runs_repeat_and_can_be_scored() {
 /// Runs the room until an event and then presses Ctrl-C.
 #[cfg(unix)]
 fn interrupt(path: &Path, arguments: &[&str], event: &str) {
-    use std::io::{BufRead, BufReader};
-    use std::process::{Command, Stdio};
-
-    let mut child = fgs(path, &[&["run", "room", "--json"], arguments].concat())
-        .stdout(Stdio::piped())
-        .stderr(Stdio::null())
-        .spawn()
-        .unwrap();
-    let mut lines = BufReader::new(child.stdout.take().unwrap())
-        .lines()
-        .map(Result::unwrap);
-    assert!(lines.any(|line| line.contains(event)));
-    let pid = child.id().to_string();
-    assert!(
-        Command::new("kill")
-            .args(["-INT", &pid])
-            .status()
-            .unwrap()
-            .success()
-    );
-    let last = lines.last().unwrap();
+    let command = fgs(path, &[&["run", "room", "--json"], arguments].concat());
+    let (mut child, lines) = interrupt_at(event, command);
+    let last = lines.last().unwrap().unwrap();
     assert_eq!(child.wait().unwrap().code(), Some(130));
     assert!(last.contains(r#""event":"metrics""#), "{last}");
 }

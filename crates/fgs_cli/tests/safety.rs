@@ -10,6 +10,8 @@ use std::process::{Command, Output, Stdio};
 use std::time::{Duration, Instant};
 
 use common::{fgs, folder_with_recording, frame_files, metrics, names, rows, run, stderr, stdout};
+#[cfg(unix)]
+use common::{interrupt_at, limited};
 
 const RUN: [&str; 6] = ["run", "room", "--backend", "cpu", "--out", "out"];
 
@@ -361,7 +363,6 @@ fn what_is_no_file_is_named_and_does_not_hang() {
 #[cfg(unix)]
 #[test]
 fn a_stop_is_seen_within_a_frame() {
-    use std::io::{BufRead, BufReader};
     let folder = folder_with_recording();
     let path = folder.path();
     for mode in ["lockstep", "parallel"] {
@@ -372,21 +373,9 @@ fn a_stop_is_seen_within_a_frame() {
             "--set",
             "mapping.iterations_per_frame=10000",
         ];
-        let mut child = fgs(path, &[&RUN, slow.as_slice()].concat())
-            .stdout(Stdio::piped())
-            .stderr(Stdio::null())
-            .spawn()
-            .unwrap();
-        let mut lines = BufReader::new(child.stdout.take().unwrap()).lines();
-        assert!(lines.any(|line| line.unwrap().contains(r#""event":"frame""#)));
-        let pid = child.id().to_string();
-        assert!(
-            Command::new("kill")
-                .args(["-INT", &pid])
-                .status()
-                .unwrap()
-                .success()
-        );
+        let command = fgs(path, &[&RUN, slow.as_slice()].concat());
+        // It may go on writing.
+        let (mut child, _lines) = interrupt_at(r#""event":"frame""#, command);
         let start = Instant::now();
         while child.try_wait().unwrap().is_none() {
             if start.elapsed() > Duration::from_secs(20) {
@@ -503,6 +492,16 @@ fn killed_while_replacing() {
     only_out(path);
 }
 
+/// Another run in place of that of the first three frames.
+#[cfg(unix)]
+const AGAIN: &str = "run room --out out --frames ..3 --backend cpu --set seed=2";
+
+/// Writing beyond so many blocks of a file fails.
+#[cfg(unix)]
+fn full_disk(blocks: u32) -> String {
+    format!("trap '' XFSZ; ulimit -f {blocks}")
+}
+
 /// A file that grows beyond a limit ends the process at once, at the first that is so large.
 #[cfg(unix)]
 #[test]
@@ -512,14 +511,8 @@ fn killed_at_a_write() {
     run_with(path, &["--frames", "..3"], 0);
     let before = contents(&path.join("out"));
     for blocks in [0, 1, 2, 4, 16, 64] {
-        let limited = format!(
-            "ulimit -f {blocks}; exec \"$0\" run room --out out --frames ..3 --backend cpu --set seed=2"
-        );
-        let mut shell = Command::new("sh");
-        shell
-            .current_dir(path)
-            .args(["-c", &limited, env!("CARGO_BIN_EXE_fgs")]);
-        assert_eq!(finish(shell).status.code(), None, "{blocks}");
+        let again = limited(path, &format!("ulimit -f {blocks}"), AGAIN);
+        assert_eq!(finish(again).status.code(), None, "{blocks}");
         assert!(contents(&path.join("out")) == before, "{blocks}");
     }
     run_with(path, &["--frames", "..2"], 0);
@@ -536,14 +529,7 @@ fn a_full_disk_at_every_write() {
     let before = contents(&path.join("out"));
     let mut failures = 0;
     for blocks in [0, 1, 2, 4, 8, 16, 32, 64, 128, 4096] {
-        let limited = format!(
-            "trap '' XFSZ; ulimit -f {blocks}; exec \"$0\" run room --out out --frames ..3 --backend cpu --set seed=2"
-        );
-        let mut shell = Command::new("sh");
-        shell
-            .current_dir(path)
-            .args(["-c", &limited, env!("CARGO_BIN_EXE_fgs")]);
-        let output = finish(shell);
+        let output = finish(limited(path, &full_disk(blocks), AGAIN));
         let message = stderr(&output);
         if output.status.code() == Some(0) {
             assert_one_run(&path.join("out"));
@@ -585,12 +571,7 @@ fn a_full_disk_while_scoring_and_rendering() {
         "export out --to ply --out new/map.ply",
     ] {
         for blocks in [0, 1, 2, 8, 32] {
-            let limited = format!("trap '' XFSZ; ulimit -f {blocks}; exec \"$0\" {command}");
-            let mut shell = Command::new("sh");
-            shell
-                .current_dir(path)
-                .args(["-c", &limited, env!("CARGO_BIN_EXE_fgs")]);
-            let output = finish(shell);
+            let output = finish(limited(path, &full_disk(blocks), command));
             if output.status.code() == Some(0) {
                 assert!(blocks > 1, "{command}");
                 continue;

@@ -160,19 +160,22 @@ impl MovingThings {
 
     fn compare(&self, cells: &Cells, world_from_camera: &Se3, now_secs: f64) -> Image<Cell> {
         let (width, height) = (cells.nearest_m.width(), cells.nearest_m.height());
-        let mut said = Image::filled(width, height, Cell::New);
-        for seen in &self.seen {
-            let seen_from_camera = seen.world_from_camera.inverse() * *world_from_camera;
-            let rotation = seen_from_camera.rotation.to_rotation_matrix();
-            for (u, v) in (0..height).flat_map(|v| (0..width).map(move |u| (u, v))) {
-                let Some(point) = cells.point(u, v) else {
-                    continue;
-                };
-                let point = rotation * point + seen_from_camera.translation;
-                said.set(u, v, said.at(u, v).and(seen.at(&point, now_secs)));
-            }
-        }
-        said
+        let seen: Vec<_> = (self.seen.iter())
+            .map(|seen| {
+                let seen_from_camera = seen.world_from_camera.inverse() * *world_from_camera;
+                let rotation = seen_from_camera.rotation.to_rotation_matrix();
+                (seen, rotation, seen_from_camera.translation)
+            })
+            .collect();
+        Image::from_fn(width, height, |u, v| {
+            let Some(point) = cells.point(u, v) else {
+                return Cell::New;
+            };
+            seen.iter()
+                .fold(Cell::New, |said, (seen, rotation, translation)| {
+                    said.and(seen.at(&(rotation * point + translation), now_secs))
+                })
+        })
     }
 }
 
@@ -188,16 +191,13 @@ impl Moving {
         let cell = |at: usize, across: usize| (at / self.side_px).min(across - 1);
         let (across, down) = (self.moved_secs.width(), self.moved_secs.height());
         let moves = |u, v| self.moved_secs.at(cell(u, across), cell(v, down)) > NEVER;
-        let mut still = frame.clone();
         let (width, height) = (frame.camera.width, frame.camera.height);
-        still.depth_m = Image::from_fn(width, height, |u, v| {
-            let is_still = !moves(u, v);
-            if is_still {
-                frame.depth_m.at(u, v)
-            } else {
-                0.0
+        let mut still = frame.clone();
+        for (u, v) in (0..height).flat_map(|v| (0..width).map(move |u| (u, v))) {
+            if moves(u, v) {
+                still.depth_m.set(u, v, 0.0);
             }
-        });
+        }
         let seen = Image::from_fn(width, height, |u, v| !moves(u, v) && frame.has_color(u, v));
         still.color_valid = Some(Arc::new(seen));
         still

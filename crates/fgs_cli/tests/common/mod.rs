@@ -3,8 +3,9 @@
 #![allow(dead_code, reason = "each test program uses its own part of this")]
 
 use std::fs;
+use std::io::{BufRead, BufReader, Lines};
 use std::path::{Path, PathBuf};
-use std::process::{Command, Output};
+use std::process::{Child, ChildStdout, Command, Output, Stdio};
 
 use serde_json::Value;
 use tempfile::TempDir;
@@ -16,6 +17,39 @@ pub fn fgs(folder: &Path, arguments: &[&str]) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_fgs"));
     command.current_dir(folder).args(arguments);
     command
+}
+
+/// The program under a shell's limits, to be run in a folder.
+#[cfg(unix)]
+pub fn limited(folder: &Path, limits: &str, arguments: &str) -> Command {
+    let script = format!("{limits}; exec \"$0\" {arguments}");
+    let mut shell = Command::new("sh");
+    shell
+        .current_dir(folder)
+        .args(["-c", &script, env!("CARGO_BIN_EXE_fgs")]);
+    shell
+}
+
+/// Starts the program and presses Ctrl-C when it writes a line that contains an event; with what it
+/// writes from there on.
+#[cfg(unix)]
+pub fn interrupt_at(event: &str, mut command: Command) -> (Child, Lines<BufReader<ChildStdout>>) {
+    let mut child = command
+        .stdout(Stdio::piped())
+        .stderr(Stdio::null())
+        .spawn()
+        .unwrap();
+    let mut lines = BufReader::new(child.stdout.take().unwrap()).lines();
+    assert!(lines.any(|line| line.unwrap().contains(event)));
+    let pid = child.id().to_string();
+    assert!(
+        Command::new("kill")
+            .args(["-INT", &pid])
+            .status()
+            .unwrap()
+            .success()
+    );
+    (child, lines)
 }
 
 /// Runs the program and expects an exit code.

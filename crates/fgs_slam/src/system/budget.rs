@@ -26,11 +26,6 @@ impl Budget {
         self.owed += steps;
     }
 
-    /// Whether steps of earlier frames are still due.
-    pub fn owes(&self) -> bool {
-        self.owed > 0
-    }
-
     /// The steps of earlier frames that are still due.
     pub fn take_owed(&mut self) -> usize {
         std::mem::take(&mut self.owed)

@@ -18,8 +18,9 @@ pub struct Lockstep {
 
 impl Lockstep {
     pub fn new(mut worker: MapperWorker) -> Self {
-        if worker.owes_steps() {
-            worker.turn(MapperWorker::owed_steps);
+        let owed = worker.take_owed_steps();
+        if owed > 0 {
+            worker.turn(|worker| worker.steps(owed));
         }
         Self { worker }
     }

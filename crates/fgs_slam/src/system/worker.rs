@@ -347,15 +347,9 @@ impl MapperWorker {
         Ok(())
     }
 
-    /// Whether steps were due when the session before this one was stopped.
-    pub fn owes_steps(&self) -> bool {
-        self.budget.owes()
-    }
-
-    /// What was due when the session before this one was stopped.
-    pub fn owed_steps(&mut self) -> Result<(), MapperError> {
-        let owed = self.budget.take_owed();
-        self.steps(owed)
+    /// The steps that were due when the session before this one was stopped.
+    pub fn take_owed_steps(&mut self) -> usize {
+        self.budget.take_owed()
     }
 
     /// Moves the map with its keyframes.
