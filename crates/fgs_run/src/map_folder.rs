@@ -11,7 +11,7 @@
 //! camera's image.
 
 use std::collections::BTreeSet;
-use std::fs::{self, File};
+use std::fs;
 use std::io::{self, BufWriter, Read, Write};
 use std::path::{Path, PathBuf};
 
@@ -416,8 +416,8 @@ fn names(folder: &Path) -> io::Result<Vec<String>> {
 /// A file's bytes; one that is longer is damaged.
 fn read_at_most(path: &Path, most: u64) -> Result<Vec<u8>, RunError> {
     let mut bytes = Vec::new();
-    let read =
-        File::open(path).and_then(|file| file.take(most.saturating_add(1)).read_to_end(&mut bytes));
+    let file = fgs_files::open_regular(path);
+    let read = file.and_then(|file| file.take(most.saturating_add(1)).read_to_end(&mut bytes));
     match read {
         Ok(_) if bytes.len() as u64 > most => Err(damaged(path, "it is too long")),
         Ok(_) => Ok(bytes),
