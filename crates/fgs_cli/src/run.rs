@@ -7,6 +7,7 @@ use anyhow::bail;
 use clap::Args;
 use fgs_data::Dataset;
 use fgs_run::{Backend, FrameRange, KnownMap, Model, Plan, RunOptions, RunResult};
+use fgs_sensors::frames_to_measure;
 use fgs_slam::{Execution, FrameStatus, Holdout};
 use serde_json::json;
 
@@ -44,6 +45,9 @@ their names. Unless the layout includes the camera, put a camera.toml into the f
   cx = 319.5
   cy = 239.5
   depth_scale = 1000.0    # the value in a depth image that stands for 1 metre
+
+When the sensors take their images (depth_delay_secs, color_readout_secs, depth_readout_secs in
+camera.toml) is measured first from up to 300 frames, unless it is given.
 
 Settings: --config overrides the defaults, and --set overrides both. config.effective.toml in the
 results lists them all. The camera comes from --camera, else from the recording, else from [camera] in
@@ -152,10 +156,46 @@ pub fn run(args: &RunArgs) -> anyhow::Result<u8> {
         pipeline_cache: pipeline_cache::folder(),
         command: Some(command_line()),
     };
-    let (plan, model) = Plan::resolve(&options).map_err(explain)?;
+    let (mut plan, model) = Plan::resolve(&options).map_err(explain)?;
     args.threads.apply()?;
     let stop = interrupt::stop_flag()?;
-    execute(&plan, model, Console::new(args.json), &stop)
+    let console = Console::new(args.json);
+    measure_sensor_times(&mut plan, console, &stop);
+    execute(&plan, model, console, &stop)
+}
+
+/// Measures when the sensors take their images, if the camera file leaves it open, and reports it.
+fn measure_sensor_times(plan: &mut Plan, console: Console, stop: &AtomicBool) {
+    if plan.dataset.camera_file().sensor_times().are_known() {
+        return;
+    }
+    let bar = console.progress(frames_to_measure(&plan.dataset), "measuring sensor times");
+    plan.measure_sensor_times(|| {
+        bar.inc(1);
+        !stop.load(Ordering::Relaxed)
+    });
+    bar.finish_and_clear();
+    let times = plan.dataset.camera_file().sensor_times();
+    let [delay, color, depth] = [
+        times.depth_delay_secs,
+        times.color_readout_secs,
+        times.depth_readout_secs,
+    ]
+    .map(|secs| secs.unwrap_or(0.0));
+    console.event(
+        "sensor_times",
+        json!({
+            "depth_delay_secs": delay,
+            "color_readout_secs": color,
+            "depth_readout_secs": depth,
+        }),
+    );
+    console.say(format!(
+        "sensor times: depth {:.1} ms after colour, rows read in {:.1} ms (colour) and {:.1} ms (depth)",
+        1e3 * delay,
+        1e3 * color,
+        1e3 * depth
+    ));
 }
 
 /// The command line as typed; what is not UTF-8 is shown as far as it can be.

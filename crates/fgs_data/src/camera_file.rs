@@ -10,7 +10,7 @@ use std::path::Path;
 use fgs_geom::{Camera, CameraError, DepthSensor, Distortion, Intrinsics, Se3};
 use serde::{Deserialize, Serialize};
 
-use crate::{DataError, plain_words};
+use crate::{DataError, SensorTimes, plain_words};
 
 /// A camera file is seven numbers; this leaves room for comments.
 const MAX_FILE_BYTES: u64 = 64 * 1024;
@@ -23,18 +23,17 @@ const MAX_PIXELS: usize = 100_000_000;
 ///
 /// Keys: `width`, `height` (pixels), `fx`, `fy`, `cx`, `cy` (pixels, pixel centres at integer
 /// coordinates), `depth_scale` (raw depth value of 1 m) and, for distorted images,
-/// `distortion = [k1, k2, p1, p2, k3]`; where depth is not quite where and when colour is,
-/// `depth_delay_secs` (`fgs doctor` measures it) and `color_from_depth = [tx, ty, tz, qx, qy, qz, qw]`
-/// (metres), see [`DepthSensor`]; for rolling shutters `color_readout_secs` and `depth_readout_secs`,
-/// from the first row to the last. Unknown keys are rejected.
+/// `distortion = [k1, k2, p1, p2, k3]`; where depth is not where colour is,
+/// `color_from_depth = [tx, ty, tz, qx, qy, qz, qw]` (metres); and `depth_delay_secs`,
+/// `color_readout_secs` and `depth_readout_secs`, see [`SensorTimes`]. Unknown keys are rejected.
 #[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
 #[serde(try_from = "Keys", into = "Keys")]
 pub struct CameraFile {
     camera: Camera,
     distortion: Option<Distortion>,
     depth_scale: f64,
-    depth_sensor: DepthSensor,
-    color_readout_secs: f64,
+    color_from_depth: Se3,
+    sensor_times: SensorTimes,
 }
 
 #[derive(Deserialize, Serialize)]
@@ -49,19 +48,14 @@ struct Keys {
     depth_scale: f64,
     #[serde(skip_serializing_if = "Option::is_none")]
     distortion: Option<[f64; 5]>,
-    #[serde(default, skip_serializing_if = "is_zero")]
-    depth_delay_secs: f64,
     #[serde(skip_serializing_if = "Option::is_none")]
     color_from_depth: Option<[f64; 7]>,
-    #[serde(default, skip_serializing_if = "is_zero")]
-    color_readout_secs: f64,
-    #[serde(default, skip_serializing_if = "is_zero")]
-    depth_readout_secs: f64,
-}
-
-#[expect(clippy::trivially_copy_pass_by_ref, reason = "serde's signature")]
-fn is_zero(x: &f64) -> bool {
-    *x == 0.0
+    #[serde(skip_serializing_if = "Option::is_none")]
+    depth_delay_secs: Option<f64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    color_readout_secs: Option<f64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    depth_readout_secs: Option<f64>,
 }
 
 /// A configuration file, as far as it is about the camera.
@@ -114,38 +108,31 @@ impl CameraFile {
             camera,
             distortion: distortion.map(Distortion::from_array),
             depth_scale,
-            depth_sensor: DepthSensor::default(),
-            color_readout_secs: 0.0,
+            color_from_depth: Se3::identity(),
+            sensor_times: SensorTimes::default(),
         })
     }
 
-    /// The same camera with its depth sensor elsewhere in space or time: delays up to 1 s, shifts up
-    /// to 1 m, a readout of up to 0.2 s.
+    /// The same camera with its depth sensor up to 1 m away.
     ///
     /// # Errors
-    /// If a value is out of range.
-    pub fn with_depth_sensor(mut self, sensor: DepthSensor) -> Result<Self, CameraError> {
-        if !(-1.0..=1.0).contains(&sensor.delay_secs) {
-            return refuse("depth_delay_secs", sensor.delay_secs, "-1 to 1 s");
-        }
-        let shift_m = sensor.color_from_depth.translation.norm();
+    /// If it is farther away.
+    pub fn with_color_from_depth(mut self, color_from_depth: Se3) -> Result<Self, CameraError> {
+        let shift_m = color_from_depth.translation.norm();
         if !(0.0..=1.0).contains(&shift_m) {
             return refuse("color_from_depth", shift_m, "a shift of up to 1 m");
         }
-        check_readout("depth_readout_secs", sensor.readout_secs)?;
-        self.depth_sensor = sensor;
+        self.color_from_depth = color_from_depth;
         Ok(self)
     }
 
-    /// The same camera with a rolling shutter: see [`RgbdFrame::color_readout_secs`], up to 0.2 s.
-    ///
-    /// [`RgbdFrame::color_readout_secs`]: fgs_geom::RgbdFrame::color_readout_secs
+    /// The same camera with other times: a delay of up to 1 s, readouts of up to 0.2 s.
     ///
     /// # Errors
-    /// If the value is out of range.
-    pub fn with_color_readout(mut self, readout_secs: f64) -> Result<Self, CameraError> {
-        check_readout("color_readout_secs", readout_secs)?;
-        self.color_readout_secs = readout_secs;
+    /// If a value is out of range.
+    pub fn with_sensor_times(mut self, times: SensorTimes) -> Result<Self, CameraError> {
+        times.check()?;
+        self.sensor_times = times;
         Ok(self)
     }
 
@@ -206,10 +193,10 @@ impl CameraFile {
             cy,
             depth_scale: scale,
             distortion: None,
-            depth_delay_secs: 0.0,
             color_from_depth: None,
-            color_readout_secs: 0.0,
-            depth_readout_secs: 0.0,
+            depth_delay_secs: None,
+            color_readout_secs: None,
+            depth_readout_secs: None,
         }
         .checked(path)
     }
@@ -229,14 +216,24 @@ impl CameraFile {
         self.depth_scale
     }
 
-    /// Where and when depth is measured, as seen from the colour camera.
-    pub fn depth_sensor(&self) -> &DepthSensor {
-        &self.depth_sensor
+    /// Where and when depth is measured, as seen from the colour camera. Times that are not known are 0.
+    pub fn depth_sensor(&self) -> DepthSensor {
+        DepthSensor {
+            delay_secs: self.sensor_times.depth_delay_secs.unwrap_or(0.0),
+            color_from_depth: self.color_from_depth,
+            readout_secs: self.sensor_times.depth_readout_secs.unwrap_or(0.0),
+        }
     }
 
-    /// How long the colour camera takes to read its rows, seconds; 0 for a global shutter.
+    /// How long the colour camera takes to read its rows, seconds; 0 for a global shutter, and if it is
+    /// not known.
     pub fn color_readout_secs(&self) -> f64 {
-        self.color_readout_secs
+        self.sensor_times.color_readout_secs.unwrap_or(0.0)
+    }
+
+    /// When images are taken, as far as it is known.
+    pub fn sensor_times(&self) -> SensorTimes {
+        self.sensor_times
     }
 }
 
@@ -273,19 +270,19 @@ impl TryFrom<Keys> for CameraFile {
                 })?,
         };
         Self::new(camera, keys.distortion, keys.depth_scale)?
-            .with_depth_sensor(DepthSensor {
-                delay_secs: keys.depth_delay_secs,
-                color_from_depth,
-                readout_secs: keys.depth_readout_secs,
-            })?
-            .with_color_readout(keys.color_readout_secs)
+            .with_color_from_depth(color_from_depth)?
+            .with_sensor_times(SensorTimes {
+                depth_delay_secs: keys.depth_delay_secs,
+                color_readout_secs: keys.color_readout_secs,
+                depth_readout_secs: keys.depth_readout_secs,
+            })
     }
 }
 
 impl From<CameraFile> for Keys {
     fn from(file: CameraFile) -> Self {
         let Intrinsics { fx, fy, cx, cy } = file.camera.intrinsics;
-        let pose = file.depth_sensor.color_from_depth;
+        let (pose, times) = (file.color_from_depth, file.sensor_times);
         Self {
             width: file.camera.width,
             height: file.camera.height,
@@ -295,29 +292,18 @@ impl From<CameraFile> for Keys {
             cy,
             depth_scale: file.depth_scale,
             distortion: file.distortion.map(|d| [d.k1, d.k2, d.p1, d.p2, d.k3]),
-            depth_delay_secs: file.depth_sensor.delay_secs,
             color_from_depth: (pose != Se3::identity()).then(|| {
                 let (t, q) = (pose.translation, pose.rotation.quaternion());
                 [t.x, t.y, t.z, q.i, q.j, q.k, q.w]
             }),
-            color_readout_secs: file.color_readout_secs,
-            depth_readout_secs: file.depth_sensor.readout_secs,
+            depth_delay_secs: times.depth_delay_secs,
+            color_readout_secs: times.color_readout_secs,
+            depth_readout_secs: times.depth_readout_secs,
         }
     }
 }
 
-fn check_readout(key: &'static str, readout_secs: f64) -> Result<(), CameraError> {
-    if (-0.2..=0.2).contains(&readout_secs) {
-        return Ok(());
-    }
-    Err(CameraError {
-        key,
-        value: readout_secs,
-        expected: "-0.2 to 0.2 s".into(),
-    })
-}
-
-fn refuse(key: &'static str, value: f64, expected: &str) -> Result<CameraFile, CameraError> {
+pub(crate) fn refuse<T>(key: &'static str, value: f64, expected: &str) -> Result<T, CameraError> {
     Err(CameraError {
         key,
         value,
@@ -360,7 +346,8 @@ mod tests {
         assert_eq!(file.distortion().unwrap().k3, 1.1633);
         let text = toml::to_string(&file).unwrap();
         assert_eq!(toml::from_str::<CameraFile>(&text).unwrap(), file);
-        assert_eq!(*file.depth_sensor(), DepthSensor::default());
+        assert_eq!(file.depth_sensor(), DepthSensor::default());
+        assert_eq!(file.sensor_times(), SensorTimes::default());
     }
 
     #[test]
@@ -378,6 +365,12 @@ mod tests {
         let written = toml::to_string(&file).unwrap();
         let read = toml::from_str::<CameraFile>(&written).unwrap();
         assert_eq!(read, file);
+        // That there is no delay may be known too.
+        let prompt = text.replace("-0.012", "0.0");
+        let prompt = CameraFile::parse(&prompt, Path::new("camera.toml")).unwrap();
+        assert_eq!(prompt.sensor_times().depth_delay_secs, Some(0.0));
+        let written = toml::to_string(&prompt).unwrap();
+        assert_eq!(toml::from_str::<CameraFile>(&written).unwrap(), prompt);
         for (from, to, key) in [
             ("-0.012", "nan", "depth_delay_secs"),
             ("-0.012", "-1.5", "depth_delay_secs"),

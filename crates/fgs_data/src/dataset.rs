@@ -7,11 +7,11 @@ use std::path::Path;
 use std::sync::Arc;
 
 use fgs_files::is_present;
-use fgs_geom::{Camera, RgbdFrame};
+use fgs_geom::{Camera, CameraError, RgbdFrame};
 
 use crate::formats::FrameFiles;
 use crate::frame_loader::FrameLoader;
-use crate::{CameraFile, DataError, Format, FrameStream, Trajectory, images};
+use crate::{CameraFile, DataError, Format, FrameStream, SensorTimes, Trajectory, images};
 
 /// How to open a recording.
 #[derive(Clone, Debug)]
@@ -82,6 +82,16 @@ impl Dataset {
     /// The camera as given or found, with lens distortion and depth unit.
     pub fn camera_file(&self) -> &CameraFile {
         &self.camera_file
+    }
+
+    /// Says when the sensors take their images, in place of what the camera file says.
+    ///
+    /// # Errors
+    /// If a time is out of range; see [`CameraFile::with_sensor_times`].
+    pub fn set_sensor_times(&mut self, times: SensorTimes) -> Result<(), CameraError> {
+        self.camera_file = self.camera_file.clone().with_sensor_times(times)?;
+        Arc::make_mut(&mut self.loader).set_times(&self.camera_file);
+        Ok(())
     }
 
     /// Number of frames, at least 1.

@@ -10,6 +10,7 @@ use crate::images::{read_color, read_depth};
 use crate::{CameraFile, DataError};
 
 /// Everything needed to load a frame; shared by the decoder threads.
+#[derive(Clone)]
 pub(crate) struct FrameLoader {
     frames: Vec<FrameFiles>,
     camera: Camera,
@@ -38,9 +39,15 @@ impl FrameLoader {
                 .map(Arc::new),
             depth_scale: camera_file.depth_scale() as f32,
             no_depth,
-            depth_sensor: *camera_file.depth_sensor(),
+            depth_sensor: camera_file.depth_sensor(),
             color_readout_secs: camera_file.color_readout_secs(),
         }
+    }
+
+    /// Takes over the times of a camera file that is otherwise the same.
+    pub fn set_times(&mut self, camera_file: &CameraFile) {
+        self.depth_sensor = camera_file.depth_sensor();
+        self.color_readout_secs = camera_file.color_readout_secs();
     }
 
     pub fn frames(&self) -> &[FrameFiles] {

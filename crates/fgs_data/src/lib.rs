@@ -28,6 +28,7 @@ mod images;
 mod lines;
 mod natural_order;
 mod plain_words;
+mod sensor_times;
 mod trajectory;
 
 pub use camera_file::CameraFile;
@@ -36,4 +37,5 @@ pub use error::{DataError, LineFault};
 pub use formats::Format;
 pub use frame_stream::FrameStream;
 pub use plain_words::plain_words;
+pub use sensor_times::SensorTimes;
 pub use trajectory::{StampedPose, Trajectory};

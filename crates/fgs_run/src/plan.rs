@@ -198,6 +198,19 @@ impl Plan {
         Ok((plan, model))
     }
 
+    /// Measures when the sensors take their images as far as the camera file does not say, which takes
+    /// seconds, and goes by it from now on. The settings record it, so that a run that is repeated,
+    /// resumed or scored again has the same times. `progress` is called after every frame read; if it
+    /// returns false, nothing is changed.
+    pub fn measure_sensor_times(&mut self, progress: impl FnMut() -> bool) {
+        let times = fgs_sensors::measure(&self.dataset, progress);
+        // What no camera can have has not been measured.
+        if self.dataset.set_sensor_times(times).is_ok() && times.are_known() {
+            self.settings.camera = Some(self.dataset.camera_file().clone());
+            self.settings.run.camera_overrides = Some(true);
+        }
+    }
+
     /// The frames that are to be tracked now.
     pub fn frames_left(&self) -> Range<usize> {
         match &self.known_map {

@@ -143,7 +143,8 @@ fn camera_toml(sequence: &Sequence, depth_scale: f64) -> String {
     let camera = sequence.camera();
     let k = camera.intrinsics;
     format!(
-        "width = {}\nheight = {}\nfx = {:?}\nfy = {:?}\ncx = {:?}\ncy = {:?}\ndepth_scale = {:?}\n",
+        "width = {}\nheight = {}\nfx = {:?}\nfy = {:?}\ncx = {:?}\ncy = {:?}\ndepth_scale = {:?}\n\
+         depth_delay_secs = 0.0\ncolor_readout_secs = 0.0\ndepth_readout_secs = 0.0\n",
         camera.width, camera.height, k.fx, k.fy, k.cx, k.cy, depth_scale
     )
 }

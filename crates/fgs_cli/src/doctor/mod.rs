@@ -19,7 +19,8 @@ mod pose_times;
 mod poses;
 mod report;
 mod self_calibration;
-mod sensor_motions;
+#[cfg(test)]
+mod sensor_motions_tests;
 mod sensor_times;
 mod statistics;
 mod survey;
@@ -88,7 +89,7 @@ pub fn run(args: &DoctorArgs) -> anyhow::Result<u8> {
     let console = Console::new(args.json);
     let mut settings = Settings::load(args.config.as_deref(), &[])?;
     let dataset = open_recording(&args.dataset, args.camera.as_deref(), &mut settings)?;
-    let bar = console.progress(survey::frames_to_read(dataset.len()), "looking");
+    let bar = console.progress(survey::frames_to_read(&dataset), "looking");
     let report = examine(&dataset, || bar.inc(1));
     bar.finish_and_clear();
     console.event("doctor", &report);

@@ -1,21 +1,10 @@
-//! Medians and quantiles, and those of an image's depths.
+//! Medians, and what an image's depths are like.
 
 use fgs_geom::{Image, has_depth};
+pub use fgs_sensors::median;
 
 /// Pixels sampled for a median: its error is then below a thousandth of the spread.
 const SAMPLES: usize = 20_000;
-
-/// The median; `None` without values.
-pub fn median(mut values: Vec<f64>) -> Option<f64> {
-    quantile(&mut values, 0.5)
-}
-
-/// The quantile at `share`, 0 to 1; `None` without values.
-pub fn quantile(values: &mut [f64], share: f64) -> Option<f64> {
-    let place = (values.len() as f64 * share) as usize;
-    let place = place.min(values.len().checked_sub(1)?);
-    Some(*values.select_nth_unstable_by(place, f64::total_cmp).1)
-}
 
 /// The median of the valid depths, metres; `None` if there are none.
 pub fn median_depth(depth_m: &Image<f32>) -> Option<f32> {
@@ -44,11 +33,10 @@ mod tests {
     use super::*;
 
     #[test]
-    fn quantiles_of_few_values() {
+    fn medians_of_few_values() {
         assert_eq!(median(vec![]), None);
         assert_eq!(median(vec![3.0]), Some(3.0));
         assert_eq!(median(vec![5.0, 1.0, 3.0]), Some(3.0));
-        assert_eq!(quantile(&mut [4.0, 1.0, 2.0, 3.0], 1.0), Some(4.0));
     }
 
     #[test]

@@ -1,23 +1,17 @@
 //! Reads frames for the checks: all frames of a short recording, stretches of a long one.
 
-use std::ops::Range;
-
 use fgs_data::Dataset;
 use fgs_geom::{FrameIndex, RgbdFrame};
+use fgs_sensors::{SensorWatch, stretches};
 
 use super::depth_along_z::FlatnessWatch;
 use super::depth_to_color::EdgeMatcher;
 use super::exposure::ExposureWatch;
 use super::frame_pairs::PairBuilder;
-use super::sensor_motions::SensorWatch;
 use super::statistics::{depth_share, median_depth};
-use super::timing;
 
 /// Most frames that are read: they take one core about 10 s at 640x480.
 const MAX_FRAMES: usize = 600;
-
-/// A long recording is read in stretches of one second at the usual 30 Hz.
-const STRETCH: usize = 30;
 
 /// Frames whose edges are compared, evenly spread: enough to detect a shift of a pixel.
 const EDGE_FRAMES: usize = 24;
@@ -53,19 +47,14 @@ impl Survey {
             flatness: FlatnessWatch::default(),
             edges: EdgeMatcher::default(),
             pairs: PairBuilder::new(*dataset.camera()),
-            sensors: SensorWatch::new(*dataset.camera(), frames_to_read(dataset.len())),
+            sensors: SensorWatch::new(*dataset.camera(), frames_to_read(dataset)),
         };
         let times: Vec<f64> = dataset.timestamps().collect();
-        let usual_secs = timing::usual_interval(&times).unwrap_or(f64::INFINITY);
-        let stretches = stretches(dataset.len());
-        let edge_every = frames_to_read(dataset.len()).div_ceil(EDGE_FRAMES);
-        for stretch in stretches {
+        let edge_every = frames_to_read(dataset).div_ceil(EDGE_FRAMES);
+        for stretch in stretches(&times, MAX_FRAMES) {
             survey.interrupt();
             for (index, frame) in stretch.clone().zip(dataset.frames(stretch)) {
                 progress();
-                if index > 0 && timing::is_gap(times[index] - times[index - 1], usual_secs) {
-                    survey.interrupt();
-                }
                 match frame {
                     Ok(frame) => survey.add(&frame, edge_every),
                     Err(error) => {
@@ -107,42 +96,9 @@ impl Survey {
     }
 }
 
-/// How many frames of a recording of this length are read.
-pub fn frames_to_read(len: usize) -> usize {
-    stretches(len).iter().map(ExactSizeIterator::len).sum()
-}
-
-/// The frames to read, evenly spread stretches in order.
-fn stretches(len: usize) -> Vec<Range<usize>> {
-    if len <= MAX_FRAMES {
-        return std::iter::once(0..len).collect();
-    }
-    let count = MAX_FRAMES / STRETCH;
-    let stretch = |i: usize| {
-        let start = i * (len - STRETCH) / (count - 1);
-        start..start + STRETCH
-    };
-    (0..count).map(stretch).collect()
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn stretches_reach_from_end_to_end_without_overlap() {
-        assert_eq!(stretches(500).len(), 1);
-        assert_eq!(stretches(500)[0], 0..500);
-        for len in [601, 5000] {
-            let stretches = stretches(len);
-            assert_eq!(stretches.len(), 20);
-            assert_eq!((stretches[0].start, stretches[19].end), (0, len));
-            assert!(
-                stretches
-                    .windows(2)
-                    .all(|pair| pair[0].end <= pair[1].start),
-                "{len}"
-            );
-        }
-    }
+/// How many frames of a recording are read.
+pub fn frames_to_read(dataset: &Dataset) -> usize {
+    let times: Vec<f64> = dataset.timestamps().collect();
+    let stretches = stretches(&times, MAX_FRAMES);
+    stretches.iter().map(ExactSizeIterator::len).sum()
 }

@@ -5,8 +5,9 @@ use std::fmt::Write as _;
 use std::path::Path;
 use std::sync::{Arc, LazyLock, Mutex};
 
-use fgs_data::OpenOptions;
+use fgs_data::{OpenOptions, SensorTimes};
 use fgs_geom::{Image, Intrinsics, RgbdFrame};
+use fgs_sensors::measure;
 use fgs_synth::{SensorModel, Sequence, kinect_camera};
 use image::{ImageBuffer, Luma, Rgb};
 use nalgebra::{Matrix3, Vector3};
@@ -136,6 +137,39 @@ impl Recording {
         let dataset = Dataset::open(folder.path(), &OpenOptions::default()).unwrap();
         examine(&dataset, || ())
     }
+}
+
+/// Depth 12 ms before colour; the walk is twice as fast as usual.
+#[test]
+fn what_the_camera_file_leaves_open_is_measured() {
+    let frames = (0..90).map(|i| {
+        let t = i as f64 / 30.0;
+        let pose = |t: f64| test_room::world_from_camera_at(2.0 * t);
+        test_room::frame_of_sensors(i, &pose(t), &pose(t - 0.012))
+    });
+    let recording = Recording {
+        frames: frames.collect(),
+        poses: None,
+        intrinsics: test_room::camera().intrinsics,
+        depth_scale: 5000.0,
+        stored_scale: 5000.0,
+    };
+    let folder = tempfile::tempdir().unwrap();
+    recording.write(folder.path());
+    let mut dataset = Dataset::open(folder.path(), &OpenOptions::default()).unwrap();
+    let nothing = SensorTimes::default();
+    assert_eq!(dataset.camera_file().sensor_times(), nothing);
+    assert_eq!(measure(&dataset, || false), nothing);
+    let times = measure(&dataset, || true);
+    let delay_secs = times.depth_delay_secs.unwrap();
+    assert!((delay_secs + 0.012).abs() <= 1e-3, "{delay_secs}");
+    let [color, depth] = [times.color_readout_secs, times.depth_readout_secs];
+    assert_eq!([color, depth], [Some(0.0); 2]);
+    dataset.set_sensor_times(times).unwrap();
+    let frame = dataset.frame(3).unwrap();
+    assert!((frame.depth_sensor.delay_secs - delay_secs).abs() <= 1e-12);
+    let read = measure(&dataset, || panic!("there is nothing left to measure"));
+    assert_eq!(read, times);
 }
 
 /// A way to break a recording, and the check that has to report it with this in its text.

@@ -1,30 +1,13 @@
 //! Frame rate and gaps in the time stamps.
 
+use fgs_sensors::{is_gap, usual_interval};
+
 use super::report::Check;
-use super::statistics::median;
 
 const NAME: &str = "frame rate";
 
-/// Two frames lost in a row; a single lost frame is common and harmless.
-const MIN_GAP: f64 = 2.5;
-
 /// At lower rates a hand-held camera moves too far between frames.
 const MIN_RATE_HZ: f64 = 10.0;
-
-/// Whether so much more time than usual has passed since the frame before.
-pub fn is_gap(interval_secs: f64, usual_secs: f64) -> bool {
-    interval_secs > MIN_GAP * usual_secs
-}
-
-/// The usual time between frames, seconds; `None` for a single frame.
-pub fn usual_interval(times_secs: &[f64]) -> Option<f64> {
-    median(
-        times_secs
-            .windows(2)
-            .map(|pair| pair[1] - pair[0])
-            .collect(),
-    )
-}
 
 /// Checks strictly increasing times; `are_made_up` if the recording has no time stamps of its own.
 pub fn check(times_secs: &[f64], are_made_up: bool) -> Check {

@@ -57,6 +57,7 @@ pub(crate) struct Recording {
 }
 
 /// One frame's files.
+#[derive(Clone)]
 pub(crate) struct FrameFiles {
     pub timestamp_secs: f64,
     pub color: PathBuf,
