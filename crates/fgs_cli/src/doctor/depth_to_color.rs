@@ -5,9 +5,11 @@
 //! where they coincide best with colour edges; in a registered recording that is where they already
 //! are.
 
-use fgs_geom::{Image, RgbdFrame, has_depth};
+use fgs_geom::{Camera, Image, RgbdFrame, has_depth};
+use nalgebra::{UnitQuaternion, Vector3};
 
 use super::report::Check;
+use super::sensor_offset::{EdgesAtDepth, sensor_offset};
 
 const NAME: &str = "depth on colour";
 
@@ -39,6 +41,10 @@ const MIN_GAIN: f64 = 1.3;
 /// ... and by this many standard errors, estimated from the scatter between frames.
 const MIN_SIGNIFICANCE: f64 = 4.0;
 
+/// Offsets up to these are those of good recordings: pixels, and metres.
+const MAX_TURN_PX: f64 = 2.0;
+const MAX_SHIFT_M: f64 = 0.01;
+
 const SIDE: usize = 2 * MAX_SHIFT as usize + 1;
 
 /// Collects how well depth steps agree with colour edges, over frames.
@@ -48,10 +54,12 @@ pub struct EdgeMatcher {
     scores: Vec<Vec<f32>>,
     /// For each frame and mirror, the best agreement near its place.
     mirrored: Vec<[f32; MIRRORS.len()]>,
+    /// For each frame, the edges of near and of far things at each shift.
+    by_depth: Vec<[EdgesAtDepth; 2]>,
     steps: usize,
     /// Pixels of the recording per pixel of the working image.
     reduction: usize,
-    width: usize,
+    camera: Option<Camera>,
 }
 
 /// A depth step between two pixels of the working image.
@@ -59,6 +67,8 @@ struct Step {
     u: f32,
     v: f32,
     is_vertical: bool,
+    /// Of the nearer side.
+    depth_m: f32,
 }
 
 type Mirror = fn(&Step, [f32; 2]) -> Step;
@@ -92,9 +102,11 @@ const MIRRORS: [(Mirror, &str); 3] = [
 impl EdgeMatcher {
     /// Adds a frame.
     pub fn add(&mut self, frame: &RgbdFrame) {
-        self.width = frame.camera.width;
-        self.reduction = (self.width as f64 / WORKING_WIDTH as f64).round().max(1.0) as usize;
-        let steps = steps(&frame.depth_m, self.reduction);
+        self.camera = Some(frame.camera);
+        self.reduction = (frame.camera.width as f64 / WORKING_WIDTH as f64)
+            .round()
+            .max(1.0) as usize;
+        let mut steps = steps(&frame.depth_m, self.reduction);
         if steps.is_empty() {
             return;
         }
@@ -103,6 +115,13 @@ impl EdgeMatcher {
         self.steps += steps.len();
         self.scores
             .push(agreement(&steps, &STRETCHES, &horizontal, &vertical));
+        steps.sort_by(|a, b| a.depth_m.total_cmp(&b.depth_m));
+        let (near, far) = steps.split_at(steps.len() / 2);
+        self.by_depth.push([near, far].map(|steps| EdgesAtDepth {
+            scores: agreement(steps, &[0], &horizontal, &vertical),
+            lag: lag(steps),
+            inverse_depth: mean(steps.iter().map(|step| 1.0 / f64::from(step.depth_m))),
+        }));
         let size = [luma.width(), luma.height()].map(|size| size as f32 - 1.0);
         self.mirrored.push(MIRRORS.map(|(mirror, _)| {
             let turned: Vec<Step> = steps.iter().map(|step| mirror(step, size)).collect();
@@ -149,10 +168,10 @@ impl EdgeMatcher {
 
     /// The verdict over all frames.
     pub fn check(&self) -> Check {
-        if !self.is_enough() {
+        let Some(camera) = self.camera.filter(|_| self.is_enough()) else {
             let seen = "too few depth edges to compare with colour edges".into();
             return Check::unknown(NAME, seen);
-        }
+        };
         if let Some(mirror) = self.mirror() {
             let seen = format!(
                 "depth edges coincide with colour edges only if depth is mirrored {mirror}"
@@ -195,7 +214,7 @@ impl EdgeMatcher {
         let (stretch, du, dv) = shift_at(best);
         // At the image's side edge, the shift that the stretch alone amounts to.
         let edge =
-            f64::from(stretch.abs()) / 100.0 * 0.5 * self.width as f64 / self.reduction as f64;
+            f64::from(stretch.abs()) / 100.0 * 0.5 * camera.width as f64 / self.reduction as f64;
         let size = f64::from(du).hypot(f64::from(dv)).max(edge);
         if size < MIN_SHIFT || gain < MIN_GAIN || significance < MIN_SIGNIFICANCE {
             let over_random: Vec<f64> = self
@@ -207,7 +226,7 @@ impl EdgeMatcher {
                 let seen = "depth edges meet colour edges no more often than by chance".into();
                 return Check::unknown(NAME, seen);
             }
-            return Check::ok(NAME, "depth edges coincide with colour edges".into());
+            return self.judge_offset(&camera);
         }
         let px = |shift: i32| shift * self.reduction as i32;
         let stretched = match stretch {
@@ -224,6 +243,67 @@ impl EdgeMatcher {
                       stream, or project depth into the colour image with the calibration of both";
         Check::problem(NAME, seen, advice.into())
     }
+
+    /// The verdict where both images are of about the same camera.
+    fn judge_offset(&self, camera: &Camera) -> Check {
+        let seen = "depth edges coincide with colour edges".to_owned();
+        let Some([found, errors]) = sensor_offset(&self.by_depth, camera, self.reduction) else {
+            return Check::ok(NAME, seen);
+        };
+        let [columns, rows] = [0, 1].map(|axis| (found.turn_px[axis], errors.turn_px[axis]));
+        let [right, below] = [0, 1].map(|axis| (found.shift_m[axis], errors.shift_m[axis]));
+        let measured = format!(
+            "if depth is moved by {:+.1} +- {:.1} columns and {:+.1} +- {:.1} rows, and by {:+.0} +- {:.0} mm \
+             to the right and {:+.0} +- {:.0} mm down",
+            columns.0,
+            columns.1,
+            rows.0,
+            rows.1,
+            1e3 * right.0,
+            1e3 * right.1,
+            1e3 * below.0,
+            1e3 * below.1
+        );
+        let is_turned = [columns, rows]
+            .iter()
+            .any(|(px, error)| px.abs() >= MAX_TURN_PX.max(MIN_SIGNIFICANCE * error));
+        let is_shifted = [right, below]
+            .iter()
+            .any(|(m, error)| m.abs() >= MAX_SHIFT_M.max(MIN_SIGNIFICANCE * error));
+        if !is_turned && !is_shifted {
+            return Check::ok(NAME, format!("{seen} (best {measured})"));
+        }
+        let k = camera.intrinsics;
+        let turn = Vector3::new(-rows.0 / k.fy, columns.0 / k.fx, 0.0);
+        let q = UnitQuaternion::from_scaled_axis(turn);
+        let advice = format!(
+            "set color_from_depth = [{:.4}, {:.4}, 0.0, {:.5}, {:.5}, {:.5}, {:.5}] in the camera file",
+            right.0, below.0, q.i, q.j, q.k, q.w
+        );
+        Check::warn(NAME, format!("{seen} best {measured}"), advice)
+    }
+}
+
+fn mean(values: impl ExactSizeIterator<Item = f64>) -> f64 {
+    let count = values.len().max(1) as f64;
+    values.sum::<f64>() / count
+}
+
+/// How far steps lie behind the pixels that they are looked up at, on average, columns and rows.
+fn lag(steps: &[Step]) -> [f64; 2] {
+    let behind = |is_vertical: bool| {
+        let steps = steps.iter().filter(|step| step.is_vertical == is_vertical);
+        let places = steps.map(|step| if is_vertical { step.v } else { step.u });
+        let behind: Vec<f64> = places.map(|x| f64::from(x - looked_up(x))).collect();
+        mean(behind.into_iter())
+    };
+    [behind(false), behind(true)]
+}
+
+/// A step between two pixels is an edge at both. Always the lower one (rounding goes up), or rows and
+/// columns would be biased.
+fn looked_up(x: f32) -> f32 {
+    (x - 0.25).round()
 }
 
 /// Mean over its standard error, of values of independent frames.
@@ -265,9 +345,7 @@ fn agreement(
             } else {
                 horizontal
             };
-            // A step between two pixels is an edge at both. Always the lower one (rounding goes
-            // up), or rows and columns would be biased.
-            let pixel = |x: f32, c: f32| (c + factor * (x - c) - 0.25).round() as i32;
+            let pixel = |x: f32, c: f32| looked_up(c + factor * (x - c)) as i32;
             let (u, v) = (pixel(step.u, center[0]), pixel(step.v, center[1]));
             for dv in -MAX_SHIFT..=MAX_SHIFT {
                 let row = v + dv;
@@ -304,11 +382,12 @@ fn steps(depth_m: &Image<f32>, reduction: usize) -> Vec<Step> {
         along(
             width,
             |u| depth_m.at(u, v),
-            |u| {
+            |u, depth_m| {
                 steps.push(Step {
                     u: to_working(u),
                     v: to_working(v as f32),
                     is_vertical: false,
+                    depth_m,
                 });
             },
         );
@@ -317,11 +396,12 @@ fn steps(depth_m: &Image<f32>, reduction: usize) -> Vec<Step> {
         along(
             height,
             |v| depth_m.at(u, v),
-            |v| {
+            |v, depth_m| {
                 steps.push(Step {
                     u: to_working(u as f32),
                     v: to_working(v),
                     is_vertical: true,
+                    depth_m,
                 });
             },
         );
@@ -329,8 +409,8 @@ fn steps(depth_m: &Image<f32>, reduction: usize) -> Vec<Step> {
     steps
 }
 
-/// Calls `found` with the position of each step on a line of pixels.
-fn along(len: usize, depth_at: impl Fn(usize) -> f32, mut found: impl FnMut(f32)) {
+/// Calls `found` with the position of each step on a line of pixels, and the depth of its nearer side.
+fn along(len: usize, depth_at: impl Fn(usize) -> f32, mut found: impl FnMut(f32, f32)) {
     let mut last: Option<(usize, f32)> = None;
     for place in 0..len {
         let depth = depth_at(place);
@@ -342,11 +422,12 @@ fn along(len: usize, depth_at: impl Fn(usize) -> f32, mut found: impl FnMut(f32)
             && (depth - last_depth).abs() > MIN_STEP * depth.min(last_depth)
         {
             let nearer_ends = last_depth < depth;
-            found(if nearer_ends {
+            let border = if nearer_ends {
                 last_place as f32 + 0.5
             } else {
                 place as f32 - 0.5
-            });
+            };
+            found(border, depth.min(last_depth));
         }
         last = Some((place, depth));
     }

@@ -21,6 +21,7 @@ mod report;
 mod self_calibration;
 #[cfg(test)]
 mod sensor_motions_tests;
+mod sensor_offset;
 mod sensor_times;
 mod statistics;
 mod survey;
