@@ -41,9 +41,8 @@ const MIN_GAIN: f64 = 1.3;
 /// ... and by this many standard errors, estimated from the scatter between frames.
 const MIN_SIGNIFICANCE: f64 = 4.0;
 
-/// Offsets up to these are those of good recordings: pixels, and metres.
-const MAX_TURN_PX: f64 = 2.0;
-const MAX_SHIFT_M: f64 = 0.01;
+/// Depth edges of consumer sensors are this far from where they should be, pixels.
+const MAX_OFFSET_PX: f64 = 2.0;
 
 const SIDE: usize = 2 * MAX_SHIFT as usize + 1;
 
@@ -250,38 +249,38 @@ impl EdgeMatcher {
         let Some([found, errors]) = sensor_offset(&self.by_depth, camera, self.reduction) else {
             return Check::ok(NAME, seen);
         };
-        let [columns, rows] = [0, 1].map(|axis| (found.turn_px[axis], errors.turn_px[axis]));
-        let [right, below] = [0, 1].map(|axis| (found.shift_m[axis], errors.shift_m[axis]));
+        let axis = |i: usize| (found.image_px[i], errors.image_px[i]);
+        let turn = |i: usize| (found.turn_px[i], errors.turn_px[i]);
+        let shift_mm = |i: usize| (1e3 * found.shift_m[i], 1e3 * errors.shift_m[i]);
         let measured = format!(
-            "if depth is moved by {:+.1} +- {:.1} columns and {:+.1} +- {:.1} rows, and by {:+.0} +- {:.0} mm \
-             to the right and {:+.0} +- {:.0} mm down",
-            columns.0,
-            columns.1,
-            rows.0,
-            rows.1,
-            1e3 * right.0,
-            1e3 * right.1,
-            1e3 * below.0,
-            1e3 * below.1
+            "best if depth is moved by {} columns and {} rows; as a turn and a shift: {} and {} px, {} and \
+             {} mm",
+            with_error(axis(0)),
+            with_error(axis(1)),
+            with_error(turn(0)),
+            with_error(turn(1)),
+            with_error(shift_mm(0)),
+            with_error(shift_mm(1))
         );
-        let is_turned = [columns, rows]
+        let is_off = [axis(0), axis(1)]
             .iter()
-            .any(|(px, error)| px.abs() >= MAX_TURN_PX.max(MIN_SIGNIFICANCE * error));
-        let is_shifted = [right, below]
-            .iter()
-            .any(|(m, error)| m.abs() >= MAX_SHIFT_M.max(MIN_SIGNIFICANCE * error));
-        if !is_turned && !is_shifted {
-            return Check::ok(NAME, format!("{seen} (best {measured})"));
+            .any(|(px, error)| px.abs() >= MAX_OFFSET_PX.max(MIN_SIGNIFICANCE * error));
+        if !is_off {
+            return Check::ok(NAME, format!("{seen} ({measured})"));
         }
-        let k = camera.intrinsics;
-        let turn = Vector3::new(-rows.0 / k.fy, columns.0 / k.fx, 0.0);
+        let (k, [right, down]) = (camera.intrinsics, found.image_px);
+        let turn = Vector3::new(-down / k.fy, right / k.fx, 0.0);
         let q = UnitQuaternion::from_scaled_axis(turn);
         let advice = format!(
-            "set color_from_depth = [{:.4}, {:.4}, 0.0, {:.5}, {:.5}, {:.5}, {:.5}] in the camera file",
-            right.0, below.0, q.i, q.j, q.k, q.w
+            "set color_from_depth = [0.0, 0.0, 0.0, {:.5}, {:.5}, {:.5}, {:.5}] in the camera file",
+            q.i, q.j, q.k, q.w
         );
-        Check::warn(NAME, format!("{seen} best {measured}"), advice)
+        Check::warn(NAME, format!("{seen} {measured}"), advice)
     }
+}
+
+fn with_error((value, error): (f64, f64)) -> String {
+    format!("{value:+.1} +- {error:.1}")
 }
 
 fn mean(values: impl ExactSizeIterator<Item = f64>) -> f64 {
@@ -515,7 +514,11 @@ mod tests {
     fn a_shadow_does_not_hide_a_step() {
         let line = [1.0, 1.0, 0.0, 0.0, 2.0, 2.0, f32::NAN, 0.9];
         let mut places = Vec::new();
-        along(line.len(), |i| line[i], |place| places.push(place));
-        assert_eq!(places, [1.5, 6.5]);
+        along(
+            line.len(),
+            |i| line[i],
+            |place, depth| places.push((place, depth)),
+        );
+        assert_eq!(places, [(1.5, 1.0), (6.5, 0.9)]);
     }
 }

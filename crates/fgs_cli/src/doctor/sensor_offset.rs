@@ -28,7 +28,9 @@ pub struct EdgesAtDepth {
 /// A turn and a shift between depth and colour, along columns and rows.
 #[derive(Clone, Copy, Debug)]
 pub struct SensorOffset {
-    /// By how much depth has to be moved to lie on colour, pixels of the recording, at infinity.
+    /// By how much depth has to be moved to lie on colour, pixels of the recording, on average.
+    pub image_px: [f64; 2],
+    /// By how much depth has to be moved to lie on colour at infinity, pixels of the recording.
     pub turn_px: [f64; 2],
     /// How far right and below the colour camera the depth is measured as if it were, metres.
     pub shift_m: [f64; 2],
@@ -51,6 +53,7 @@ pub fn sensor_offset(
             [near, far].map(|part| part.as_ref().map_or(0.0, |p| p.inverse_depth));
         let slope = |axis: usize| px * (near_px[axis] - far_px[axis]) / (near_q - far_q);
         Some(SensorOffset {
+            image_px: [0, 1].map(|axis| 0.5 * px * (near_px[axis] + far_px[axis])),
             turn_px: [0, 1].map(|axis| px * far_px[axis] - slope(axis) * far_q),
             shift_m: [0, 1].map(|axis| slope(axis) / focal_px[axis]),
         })
@@ -66,6 +69,7 @@ pub fn sensor_offset(
         (squares.sum::<f64>() / (GROUPS * (GROUPS - 1)) as f64).sqrt()
     };
     let errors = SensorOffset {
+        image_px: [0, 1].map(|axis| error(&|offset| offset.image_px[axis])),
         turn_px: [0, 1].map(|axis| error(&|offset| offset.turn_px[axis])),
         shift_m: [0, 1].map(|axis| error(&|offset| offset.shift_m[axis])),
     };
@@ -144,6 +148,8 @@ mod tests {
         let [found, errors] = sensor_offset(&frames, &camera, 2).unwrap();
         assert!((found.turn_px[0] + 2.0).abs() <= 1e-3, "{found:?}");
         assert!((found.turn_px[1] - 1.0).abs() <= 1e-3, "{found:?}");
+        // 1.8 (1 + 0.25) / 2 - 1 pixels of the working image.
+        assert!((found.image_px[0] - 0.25).abs() <= 1e-3, "{found:?}");
         assert!((found.shift_m[0] - 0.02).abs() <= 1e-4, "{found:?}");
         assert!(found.shift_m[1].abs() <= 1e-4, "{found:?}");
         assert!(errors.turn_px[0] <= 1e-3 && errors.shift_m[0] <= 1e-4);
