@@ -174,6 +174,7 @@ fn scores_are_of_this_evaluation_or_empty() {
     only_out(path);
 }
 
+#[cfg(unix)]
 #[test]
 fn nobody_reads_the_warnings() {
     let folder = folder_with_recording();
@@ -283,6 +284,20 @@ fn images_have_limits() {
     run_with(path, &["--frames", "..2"], 0);
     let render = run(path, &["render", "out", "--size", "65536x65536"], 2);
     assert!(stderr(&render).contains("too large"), "{}", stderr(&render));
+}
+
+/// As a whole this picture would take 0.6 GB.
+#[cfg(target_os = "linux")]
+#[test]
+fn a_large_picture_is_rendered_in_bands() {
+    let folder = folder_with_recording();
+    let path = folder.path();
+    run_with(path, &["--frames", "..2"], 0);
+    let render = "render out --views 1 --threads 2 --size 5000x4000";
+    let output = finish(limited(path, "ulimit -v 400000", render));
+    assert_eq!(output.status.code(), Some(0), "{}", stderr(&output));
+    let picture = image::image_dimensions(path.join("out/views/000000.png"));
+    assert_eq!(picture.unwrap(), (5000, 4000));
 }
 
 /// Nothing is read that is no regular file, and nothing without end.

@@ -9,6 +9,7 @@ use super::depth_along_z::FlatnessWatch;
 use super::depth_to_color::EdgeMatcher;
 use super::exposure::ExposureWatch;
 use super::frame_pairs::PairBuilder;
+use super::repeated_images::RepeatWatch;
 use super::sensor_motions::SensorWatch;
 use super::statistics::{depth_share, median_depth};
 use super::timing;
@@ -32,6 +33,8 @@ pub struct Survey {
     pub median_depths_m: Vec<f64>,
     /// Brightness from frame to frame.
     pub exposure: ExposureWatch,
+    /// Images that come twice.
+    pub repeats: RepeatWatch,
     /// How flat flat surfaces are.
     pub flatness: FlatnessWatch,
     /// Agreement of depth with colour edges.
@@ -50,6 +53,7 @@ impl Survey {
             depth_shares: Vec::new(),
             median_depths_m: Vec::new(),
             exposure: ExposureWatch::default(),
+            repeats: RepeatWatch::default(),
             flatness: FlatnessWatch::default(),
             edges: EdgeMatcher::default(),
             pairs: PairBuilder::new(*dataset.camera()),
@@ -96,12 +100,14 @@ impl Survey {
         self.median_depths_m
             .extend(median_depth(&frame.depth_m).map(f64::from));
         self.exposure.add(frame.index, &frame.color);
+        self.repeats.add(frame);
         self.pairs.add(frame);
         self.sensors.add(frame);
     }
 
     fn interrupt(&mut self) {
         self.exposure.interrupt();
+        self.repeats.interrupt();
         self.pairs.interrupt();
         self.sensors.interrupt();
     }

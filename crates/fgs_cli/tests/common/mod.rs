@@ -65,11 +65,21 @@ pub fn run(folder: &Path, arguments: &[&str], exit_code: i32) -> Output {
 }
 
 pub fn stderr(output: &Output) -> String {
-    String::from_utf8(output.stderr.clone()).unwrap()
+    text(&output.stderr)
 }
 
 pub fn stdout(output: &Output) -> String {
-    String::from_utf8(output.stdout.clone()).unwrap()
+    text(&output.stdout)
+}
+
+/// With the separators of Unix in paths.
+fn text(bytes: &[u8]) -> String {
+    let text = String::from_utf8(bytes.to_vec()).unwrap();
+    if cfg!(windows) {
+        text.replace('\\', "/")
+    } else {
+        text
+    }
 }
 
 /// A folder with a recording `room` of 12 frames of 160x120 without noise.
@@ -100,6 +110,8 @@ pub fn names(folder: &Path) -> Vec<String> {
     let entries = fs::read_dir(folder).into_iter().flatten();
     let mut names: Vec<_> = entries
         .map(|entry| entry.unwrap().file_name().into_string().unwrap())
+        // Only Unix lets locks be removed by their holders.
+        .filter(|name| cfg!(unix) || !name.ends_with(".lock"))
         .collect();
     names.sort();
     names
