@@ -148,7 +148,7 @@ fn what_is_there_stays() {
     let exports = path.join("runs/room/export");
     assert_eq!(
         names(&exports),
-        [".fgs-files", "colmap", "map.spz", "map.splat"]
+        [".fgs-files", "colmap", "map.splat", "map.spz"]
     );
     fs::write(exports.join("notes.txt"), "mine").unwrap();
     export(path, &["--to", "splat"]);
