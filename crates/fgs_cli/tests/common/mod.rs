@@ -19,8 +19,7 @@ pub fn fgs(folder: &Path, arguments: &[&str]) -> Command {
     command
 }
 
-/// The program under a shell's limits, to be run in a folder.
-#[cfg(unix)]
+/// The program under a shell's limits, to be run in a folder; on Unix.
 pub fn limited(folder: &Path, limits: &str, arguments: &str) -> Command {
     let script = format!("{limits}; exec \"$0\" {arguments}");
     let mut shell = Command::new("sh");
@@ -31,8 +30,7 @@ pub fn limited(folder: &Path, limits: &str, arguments: &str) -> Command {
 }
 
 /// Starts the program and presses Ctrl-C when it writes a line that contains an event; with what it
-/// writes from there on.
-#[cfg(unix)]
+/// writes from there on; on Unix.
 pub fn interrupt_at(event: &str, mut command: Command) -> (Child, Lines<BufReader<ChildStdout>>) {
     let mut child = command
         .stdout(Stdio::piped())
