@@ -14,7 +14,9 @@ use fgs_export::{
     write_splat_glb, write_splat_ply, write_spz,
 };
 use fgs_geom::View;
-use fgs_run::{CONFIG, FinishedRun, FrameRow, RunFolder, RunResult, Settings};
+use fgs_run::{
+    CONFIG, FinishedRun, FrameRow, OutputFolder, RunError, RunFolder, RunResult, Settings,
+};
 use fgs_splat::Gaussians;
 use indicatif::ProgressBar;
 
@@ -22,6 +24,9 @@ use crate::console::Console;
 use crate::failure::{EXIT_DONE, EXIT_INTERRUPTED, UsageError, explain};
 use crate::interrupt;
 use crate::threads::Threads;
+
+/// The folder for exports, in that of the run.
+const EXPORTS: &str = "export";
 
 const OF_RUN: &str = "x right, y down, z forward from the first camera";
 const OF_GLTF: &str = "x right, y up; the first camera looks along -z";
@@ -45,7 +50,7 @@ pub struct ExportArgs {
     /// Format
     #[arg(long, value_enum, value_name = "FORMAT")]
     to: Format,
-    /// File or folder to write [default: in RUN/export]
+    /// File or folder to write [default: in RUN/export, which the next run into RUN replaces]
     #[arg(long, value_name = "PATH")]
     out: Option<PathBuf>,
     /// Folder of the recording, for colmap and nerfstudio [default: where it was during the run]
@@ -130,11 +135,21 @@ fn voxel_m(text: &str) -> Result<f64, String> {
 /// If the run or its recording cannot be read, there is nothing to export, or it cannot be written.
 pub fn run(args: &ExportArgs) -> anyhow::Result<u8> {
     let folder = RunFolder::open(&args.run)?;
-    let out = out_path(args, &folder)?;
+    let out = match &args.out {
+        Some(out) => out.clone(),
+        None => folder.join(EXPORTS).join(args.to.default_name()),
+    };
+    if args.out.is_some() {
+        prepare(&out, &folder)?;
+    }
     let result = RunResult::read(&folder)?;
     args.threads.apply()?;
     let stop = interrupt::stop_flag()?;
-    let what = match write(args, &result, &out, &stop) {
+    let written = match &args.out {
+        Some(out) => write(args, &result, out, &stop),
+        None => write_in_run(args, &folder, &result, &stop),
+    };
+    let what = match written {
         Err(error) if matches!(error.downcast_ref(), Some(ExportError::Stopped)) => {
             return Ok(EXIT_INTERRUPTED);
         }
@@ -148,18 +163,49 @@ pub fn run(args: &ExportArgs) -> anyhow::Result<u8> {
     Ok(EXIT_DONE)
 }
 
-/// Where to write; makes the folder around it. A file there is replaced, but not one of the run's own.
-fn out_path(args: &ExportArgs, folder: &RunFolder) -> anyhow::Result<PathBuf> {
-    let in_run = || folder.join("export").join(args.to.default_name());
-    let out = args.out.clone().unwrap_or_else(in_run);
-    if folder.holds_result(&out) {
+/// Makes the folder around the place that the user named. A file there is replaced, but not one of the
+/// run's own.
+fn prepare(out: &Path, folder: &RunFolder) -> anyhow::Result<()> {
+    if folder.holds_result(out) {
         let refusal = format!("--out: {} belongs to the run", out.display());
         return Err(UsageError(refusal).into());
     }
     if let Some(parent) = out.parent() {
         fs::create_dir_all(parent).with_context(|| format!("cannot make {}", parent.display()))?;
     }
-    Ok(out)
+    Ok(())
+}
+
+/// Writes into the run's folder, beside earlier exports, so that they are known as the program's own:
+/// the next run there replaces them with the rest.
+fn write_in_run(
+    args: &ExportArgs,
+    folder: &RunFolder,
+    result: &RunResult,
+    stop: &AtomicBool,
+) -> anyhow::Result<String> {
+    let (exports, name) = (folder.join(EXPORTS), args.to.default_name());
+    let out = exports.join(name);
+    if out.is_dir() {
+        return Err(ExportError::Exists { path: out }.into());
+    }
+    let folder = OutputFolder::claim_any(&exports).map_err(RunError::from)?;
+    let cannot_write = |source| ExportError::Write {
+        path: out.clone(),
+        source,
+    };
+    let staged = folder.begin().map_err(cannot_write)?;
+    staged.carry_over(&[]).map_err(cannot_write)?;
+    staged.may_replace(name).map_err(RunError::from)?;
+    let written = write(args, result, &staged.path().join(name), stop);
+    let what = written.map_err(|error| match error.downcast() {
+        // Not where it is for the moment.
+        Ok(ExportError::Write { source, .. }) => cannot_write(source).into(),
+        Ok(error) => error.into(),
+        Err(error) => error,
+    })?;
+    staged.finish().map_err(RunError::from)?;
+    Ok(what)
 }
 
 /// Writes the export; returns what it holds, in words.
@@ -172,7 +218,7 @@ fn write(
     let map = result.refined.as_ref().unwrap_or(&result.gaussians);
     let trajectory = &result.trajectory;
     match args.to {
-        Format::Tum => trajectory.write(out)?,
+        Format::Tum => write_file(out, |file| trajectory.encode(file))?,
         Format::Kitti => write_file(out, |file| write_kitti(file, trajectory))?,
         _ if map.is_empty() => anyhow::bail!("the run's map is empty"),
         Format::Ply => write_file(out, |file| write_splat_ply(file, map))?,

@@ -2,8 +2,12 @@
 
 use std::str::FromStr;
 
-/// An image of 8K: rendering it takes less than 2 GB.
-const MAX_PIXELS: usize = 7680 * 4320;
+/// A frame of 8K: making it takes less than 2 GB.
+const MAX_FRAME_PIXELS: usize = 7680 * 4320;
+
+/// A picture is written some rows at a time, whatever its size. But browsers and most programs that show
+/// pictures take no larger ones, and rendering such a one takes minutes.
+const MAX_PICTURE_PIXELS: usize = 16384 * 16384;
 
 /// Columns and rows.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -14,10 +18,17 @@ pub struct ImageSize {
     pub height: usize,
 }
 
-impl FromStr for ImageSize {
-    type Err = String;
+impl ImageSize {
+    /// The size of a picture that is never in memory as a whole.
+    ///
+    /// # Errors
+    /// If it is none, or too large.
+    pub fn of_picture(text: &str) -> Result<Self, String> {
+        let limit = "16384x16384, are what programs can show";
+        Self::parse(text, MAX_PICTURE_PIXELS, limit)
+    }
 
-    fn from_str(text: &str) -> Result<Self, String> {
+    fn parse(text: &str, max_pixels: usize, limit: &str) -> Result<Self, String> {
         let size = text.split_once('x').and_then(|(width, height)| {
             Some(Self {
                 width: width.parse().ok()?,
@@ -26,11 +37,19 @@ impl FromStr for ImageSize {
         });
         let size = size.ok_or_else(|| format!("'{text}' is not a size such as 640x480"))?;
         match size.width.checked_mul(size.height) {
-            Some(pixels) if pixels <= MAX_PIXELS => Ok(size),
+            Some(pixels) if pixels <= max_pixels => Ok(size),
             _ => Err(format!(
-                "{text} is too large: at most {MAX_PIXELS} pixels fit the memory, 7680x4320"
+                "{text} is too large: at most {max_pixels} pixels, as in {limit}"
             )),
         }
+    }
+}
+
+impl FromStr for ImageSize {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        Self::parse(text, MAX_FRAME_PIXELS, "7680x4320, fit the memory")
     }
 }
 
@@ -52,6 +71,10 @@ mod tests {
         for text in ["65536x65536", "18446744073709551615x2", "7681x4320"] {
             let refusal = text.parse::<ImageSize>().unwrap_err();
             assert!(refusal.contains("at most 33177600 pixels"), "{refusal}");
+        }
+        assert!(ImageSize::of_picture("16384x16384").is_ok());
+        for text in ["65536x65536", "16385x16384", "18446744073709551615x2", "5"] {
+            assert!(ImageSize::of_picture(text).is_err(), "{text}");
         }
     }
 }

@@ -8,7 +8,7 @@ use anyhow::{Context, bail};
 use clap::Args;
 use fgs_data::Trajectory;
 use fgs_geom::{Camera, CameraError, Intrinsics, Se3, View};
-use fgs_run::{CONFIG, MAP, OutputFolder, RunError, Settings, TRAJECTORY, png_bytes, write_png};
+use fgs_run::{CONFIG, MAP, OutputFolder, RunError, Settings, TRAJECTORY, render_png};
 use fgs_splat::Rasterizer;
 
 use crate::console::Console;
@@ -51,7 +51,7 @@ pub struct RenderArgs {
     #[arg(long, value_name = "N", default_value_t = 30, value_parser = clap::value_parser!(u32).range(1..=100_000))]
     views: u32,
     /// Size of the pictures [default: the camera's]
-    #[arg(long, value_name = "WxH")]
+    #[arg(long, value_name = "WxH", value_parser = ImageSize::of_picture)]
     size: Option<ImageSize>,
     /// Horizontal field of view, degrees [default: the camera's]
     #[arg(long, value_name = "DEGREES")]
@@ -124,12 +124,14 @@ pub fn run(args: &RenderArgs) -> anyhow::Result<u8> {
             camera,
             world_from_camera: *pose,
         };
-        let pass = rasterizer.render(&gaussians, &view);
-        let picture = png_bytes(&pass.rendered().color);
         let name = format!("{i:06}.png");
-        pictures
-            .write(&name, |file| write_png(&picture, file))
-            .map_err(|error| cannot_write(&pictures.shown(&name), error))?;
+        let written = pictures.write(&name, |file| {
+            render_png(&mut rasterizer, &gaussians, &view, file, &stop)
+        });
+        if written.is_err() && stop.load(Ordering::Relaxed) {
+            break;
+        }
+        written.map_err(|error| cannot_write(&pictures.shown(&name), error))?;
         count += 1;
         bar.inc(1);
     }

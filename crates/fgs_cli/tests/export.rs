@@ -127,6 +127,48 @@ fn what_is_there_stays() {
     refuse(path, &to_own, 2, "runs/room/map.ply belongs to the run");
     assert!(fs::read(&map).unwrap() == before);
 
+    // Exports are known as ours: the next run replaces them with the rest, but nothing else.
+    let run_again = ["--out", "runs/room"];
+    let again = |exit_code| {
+        run(
+            path,
+            &[&RUN, ["2"].as_slice(), &run_again].concat(),
+            exit_code,
+        )
+    };
+    for format in ["splat", "colmap", "spz"] {
+        export(path, &["--to", format]);
+    }
+    refuse(
+        path,
+        &["runs/room", "--to", "colmap"],
+        1,
+        "runs/room/export/colmap exists already",
+    );
+    let exports = path.join("runs/room/export");
+    assert_eq!(
+        names(&exports),
+        [".fgs-files", "colmap", "map.splat", "map.spz"]
+    );
+    fs::write(exports.join("notes.txt"), "mine").unwrap();
+    export(path, &["--to", "splat"]);
+    assert!(stderr(&again(2)).contains("notes.txt"));
+    assert_eq!(fs::read(exports.join("notes.txt")).unwrap(), b"mine");
+    fs::remove_file(exports.join("notes.txt")).unwrap();
+    // An export's name alone does not make it ours.
+    fs::write(exports.join("mesh.obj"), "mine").unwrap();
+    refuse(
+        path,
+        &["runs/room", "--to", "mesh-obj", "--voxel-m", "0.05"],
+        2,
+        "mesh.obj",
+    );
+    assert_eq!(fs::read(exports.join("mesh.obj")).unwrap(), b"mine");
+    fs::remove_file(exports.join("mesh.obj")).unwrap();
+    again(0);
+    assert!(!exports.exists());
+    assert_eq!(names(&path.join("runs")), ["room"]);
+
     // A folder, even an empty one, is not replaced; a recording that has moved is asked for.
     fs::create_dir(path.join("set")).unwrap();
     let to_set = ["runs/room", "--to", "colmap", "--out", "set"];

@@ -8,11 +8,11 @@ use std::collections::HashMap;
 use std::fs;
 use std::path::Path;
 
-#[cfg(unix)]
-use common::interrupt_at;
 use common::{
-    FRAMES, fgs, folder_with_recording, frame_files, metrics, names, rows, run, stderr, stdout,
+    FRAMES, folder_with_recording, frame_files, metrics, names, rows, run, stderr, stdout,
 };
+#[cfg(unix)]
+use common::{fgs, interrupt_at};
 use serde_json::Value;
 
 const FILES: [&str; 9] = [

@@ -6,16 +6,20 @@ mod common;
 
 use std::fs;
 use std::path::Path;
-use std::process::{Command, Output, Stdio};
+#[cfg(unix)]
+use std::process::Command;
+use std::process::{Output, Stdio};
+#[cfg(unix)]
 use std::time::{Duration, Instant};
 
-use common::{fgs, folder_with_recording, frame_files, metrics, names, rows, run, stderr, stdout};
+use common::{fgs, folder_with_recording, metrics, names, rows, run, stderr, stdout};
 #[cfg(unix)]
-use common::{interrupt_at, limited};
+use common::{frame_files, interrupt_at, limited};
 
 const RUN: [&str; 6] = ["run", "room", "--backend", "cpu", "--out", "out"];
 
 /// Longer than anything here takes on a busy machine, shorter than for ever.
+#[cfg(unix)]
 const PATIENCE: Duration = Duration::from_secs(100);
 
 fn run_with(folder: &Path, more: &[&str], exit_code: i32) -> Output {
@@ -23,6 +27,7 @@ fn run_with(folder: &Path, more: &[&str], exit_code: i32) -> Output {
 }
 
 /// Waits for a program, which is ended if it takes too long.
+#[cfg(unix)]
 fn finish(mut command: Command) -> Output {
     let mut child = command
         .stdout(Stdio::piped())
@@ -174,6 +179,7 @@ fn scores_are_of_this_evaluation_or_empty() {
     only_out(path);
 }
 
+#[cfg(unix)]
 #[test]
 fn nobody_reads_the_warnings() {
     let folder = folder_with_recording();
@@ -283,6 +289,20 @@ fn images_have_limits() {
     run_with(path, &["--frames", "..2"], 0);
     let render = run(path, &["render", "out", "--size", "65536x65536"], 2);
     assert!(stderr(&render).contains("too large"), "{}", stderr(&render));
+}
+
+/// As a whole this picture would take 0.6 GB.
+#[cfg(target_os = "linux")]
+#[test]
+fn a_large_picture_is_rendered_in_bands() {
+    let folder = folder_with_recording();
+    let path = folder.path();
+    run_with(path, &["--frames", "..2"], 0);
+    let render = "render out --views 1 --threads 2 --size 5000x4000";
+    let output = finish(limited(path, "ulimit -v 400000", render));
+    assert_eq!(output.status.code(), Some(0), "{}", stderr(&output));
+    let picture = image::image_dimensions(path.join("out/views/000000.png"));
+    assert_eq!(picture.unwrap(), (5000, 4000));
 }
 
 /// Nothing is read that is no regular file, and nothing without end.
@@ -594,6 +614,16 @@ fn what_is_mistyped_is_a_usage_error() {
     assert_says(&run(path, &["run", "rom"], 2), 2, &["rom does not exist"]);
     let file = "room/rgb.txt";
     assert_says(&run(path, &["run", file], 2), 2, &[file, "is not a folder"]);
+    #[cfg(unix)]
+    for (link, target, what) in [
+        ("round", "round", "is a link that leads round in a circle"),
+        ("nowhere", "absent", "is a link that leads nowhere"),
+    ] {
+        std::os::unix::fs::symlink(target, path.join(link)).unwrap();
+        assert_says(&run(path, &["run", link], 2), 2, &[link, what]);
+        let config = ["run", "room", "--config", link];
+        assert_says(&run(path, &config, 2), 2, &[link, what]);
+    }
     let utf16 = |text: &str| -> Vec<u8> {
         let units = std::iter::once(0xfeff).chain(text.encode_utf16());
         units.flat_map(u16::to_le_bytes).collect()

@@ -24,9 +24,9 @@ const INITIAL_THREADS: usize = 2;
 /// Frames ahead for each thread: evens out those that take longer.
 const LOOK_AHEAD_PER_THREAD: usize = 4;
 
-/// The most memory that frames decoded ahead may take: at 640x480 it is never reached, and three
+/// The most memory that frames decoded ahead may take: at 640x480 it is never reached, and two
 /// frames of 12 megapixels fit.
-const MAX_LOOK_AHEAD_BYTES: usize = 256 * 1024 * 1024;
+const MAX_LOOK_AHEAD_BYTES: usize = 192 * 1024 * 1024;
 
 /// Bytes of a pixel: colour and depth.
 const BYTES_PER_PIXEL: usize = 3 + 4;
@@ -324,7 +324,7 @@ mod tests {
         assert_eq!(limits(640, 480, 1), (2, 8));
         assert_eq!(limits(640, 480, 8), (8, 32));
         // 84 MB each.
-        assert_eq!(limits(4000, 3000, 16), (3, 3));
+        assert_eq!(limits(4000, 3000, 16), (2, 2));
         assert_eq!(limits(10_000, 10_000, 16), (2, 1));
         assert_eq!(limits(65_536, 65_536, 16), (2, 1));
     }

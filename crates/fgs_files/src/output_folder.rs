@@ -238,12 +238,15 @@ impl StagedFolder<'_> {
         })
     }
 
-    /// Takes over what the folder holds now, but for the entries named in `except`.
+    /// Takes over what the folder holds now, if there is one, but for the entries named in `except`.
     ///
     /// # Errors
     /// If a file can be neither linked nor copied.
     pub fn carry_over(&self, except: &[&str]) -> io::Result<()> {
         let old = &self.output.real;
+        if !old.exists() {
+            return Ok(());
+        }
         let contents = Contents::of(old)?;
         let relative = |path: &PathBuf| path.strip_prefix(old).map(Path::to_owned).ok();
         let foreign: HashSet<PathBuf> = contents.foreign.iter().filter_map(relative).collect();
@@ -262,6 +265,20 @@ impl StagedFolder<'_> {
             if foreign.contains(&name) {
                 self.carried.borrow_mut().insert(name);
             }
+        }
+        Ok(())
+    }
+
+    /// That no file of this name was carried over that this program did not write.
+    ///
+    /// # Errors
+    /// [`FolderError::Foreign`] if one was.
+    pub fn may_replace(&self, name: &str) -> Result<(), FolderError> {
+        if self.carried.borrow().contains(Path::new(name)) {
+            return Err(FolderError::Foreign {
+                folder: self.output.shown.clone(),
+                entry: name.into(),
+            });
         }
         Ok(())
     }

@@ -9,7 +9,7 @@ use fgs_data::{DataError, Trajectory};
 use fgs_geom::{FrameIndex, RgbdFrame};
 use fgs_slam::{
     Execution, FrameResult, FrameStatus, SavedSession, Slam, SlamConfig, SlamEvent, SlamOutput,
-    Subscription, replay,
+    Subscription, drive_with, replay_with,
 };
 use fgs_splat::GaussianModel;
 
@@ -25,10 +25,6 @@ use crate::plan::{KnownMap, Plan};
 use crate::run_result::RunResult;
 use crate::score_values::{Scores, mean};
 use crate::settings::COMMIT;
-
-/// In real time, so many frames go between two looks whether a checkpoint is due: the recording's clock
-/// stands still meanwhile.
-const REALTIME_BATCH: usize = 30;
 
 /// Tracks and maps every frame of the plan and refines the map; nothing is scored or saved but
 /// checkpoints of the map. If one of them fails, [`RunResult::checkpoint_failure`] says why.
@@ -48,15 +44,7 @@ pub fn drive(
     let (output, saved) = thread::scope(|scope| {
         let tracking = scope.spawn(|| {
             let frames = plan.dataset.frames(plan.frames_left());
-            let saved = match checkpoints {
-                None => {
-                    feed(&mut slam, frames, plan.execution, stop);
-                    Ok(())
-                }
-                Some(checkpoints) => {
-                    feed_with(checkpoints, &mut slam, frames, plan.execution, stop)
-                }
-            };
+            let saved = feed(&mut slam, frames, checkpoints, plan.execution, stop);
             (slam.finish_refined(plan.refine, stop), saved)
         });
         pass_on(&events, observer);
@@ -167,36 +155,24 @@ fn checkpoints(plan: &Plan, slam: &mut Slam) -> Result<Option<Checkpoints>, RunE
 
 type Frame = Result<RgbdFrame, DataError>;
 
+/// Feeds the session, with checkpoints between frames and at their end if there are any.
 fn feed(
     slam: &mut Slam,
     frames: impl Iterator<Item = Frame>,
-    execution: Execution,
-    stop: &AtomicBool,
-) {
-    match execution {
-        Execution::Realtime => replay(slam, frames, stop),
-        Execution::Lockstep | Execution::Parallel => fgs_slam::drive(slam, frames, stop),
-    }
-}
-
-/// As [`feed`], with checkpoints between frames and at their end.
-fn feed_with(
-    mut checkpoints: Checkpoints,
-    slam: &mut Slam,
-    frames: impl Iterator<Item = Frame>,
+    mut checkpoints: Option<Checkpoints>,
     execution: Execution,
     stop: &AtomicBool,
 ) -> Result<(), RunError> {
-    let batch = match execution {
-        Execution::Realtime => REALTIME_BATCH,
-        Execution::Lockstep | Execution::Parallel => 1,
+    let after_frame = |slam: &mut Slam| {
+        if let Some(checkpoints) = &mut checkpoints {
+            checkpoints.after_frame(slam);
+        }
     };
-    let mut frames = frames.peekable();
-    while !stop.load(Ordering::Relaxed) && !slam.has_stopped() && frames.peek().is_some() {
-        feed(slam, frames.by_ref().take(batch), execution, stop);
-        checkpoints.after_frame(slam);
+    match execution {
+        Execution::Realtime => replay_with(slam, frames, stop, after_frame),
+        Execution::Lockstep | Execution::Parallel => drive_with(slam, frames, stop, after_frame),
     }
-    checkpoints.finish(slam)
+    checkpoints.map_or(Ok(()), |checkpoints| checkpoints.finish(slam))
 }
 
 /// Tells the observer what happens until the session ends.

@@ -65,7 +65,7 @@ pub use frame_range::FrameRange;
 pub use map_folder::MapFolder;
 pub use metrics::{Metrics, RefinedMetrics};
 pub use observer::{RunEvent, RunObserver};
-pub use pictures::{png_bytes, write_png};
+pub use pictures::render_png;
 pub use plan::{KnownMap, Plan, RunOptions};
 pub use recording::{open_recording, recording_name};
 pub use report::{comparison_page, write_report};

@@ -1,13 +1,13 @@
 //! PNG pictures of what the map looks like, alone or beside the camera's image.
 
 use std::io::{self, Write};
+use std::sync::atomic::{AtomicBool, Ordering};
 
 use fgs_data::Dataset;
 use fgs_files::StagedFolder;
 use fgs_geom::{Image, RgbdFrame, View};
-use fgs_splat::Rasterizer;
-use image::codecs::png::PngEncoder;
-use image::{ExtendedColorType, ImageEncoder, ImageError};
+use fgs_splat::{Gaussians, Rasterizer};
+use png::{ColorType, Compression, Encoder, Filter, Writer};
 
 use crate::error::RunError;
 use crate::frame_log::FrameRow;
@@ -21,6 +21,10 @@ pub const BEST: &str = "best-frame";
 
 /// How many pictures show the run, from its first to its last tracked frame.
 const SAMPLES: usize = 5;
+
+/// Pixels that are rendered at a time, about 30 bytes each: all of a usual picture, and enough for bands
+/// of a large one that projecting the map for each costs little.
+const BAND_PIXELS: usize = 4 << 20;
 
 /// Writes pictures of a run, the camera's image on the left and the render on the right: some evenly
 /// spread over it and, if it was scored, those of its worst and its best frame.
@@ -79,7 +83,7 @@ fn choose(result: &RunResult) -> Vec<(&FrameRow, String)> {
 }
 
 /// Rendered colour, nominally 0 to 1, as bytes.
-pub fn png_bytes(color: &Image<[f32; 3]>) -> Image<[u8; 3]> {
+fn png_bytes(color: &Image<[f32; 3]>) -> Image<[u8; 3]> {
     color.map(|pixel| pixel.map(|value| (255.0 * value.clamp(0.0, 1.0)).round() as u8))
 }
 
@@ -99,13 +103,43 @@ fn side_by_side(frame: &RgbdFrame, render: &Image<[u8; 3]>) -> Image<[u8; 3]> {
 /// # Errors
 /// If writing fails.
 pub fn write_png(picture: &Image<[u8; 3]>, writer: impl Write) -> io::Result<()> {
+    let mut png = begin_png(writer, picture.width(), picture.height())?;
+    let mut rows = png.stream_writer()?;
+    rows.write_all(picture.data().as_flattened())?;
+    rows.finish()?;
+    Ok(png.finish()?)
+}
+
+/// Renders a view and encodes it as PNG, some rows at a time: pictures of any size take little memory.
+/// Once `stop` is set it ends with an error.
+///
+/// # Errors
+/// If writing fails.
+pub fn render_png(
+    rasterizer: &mut Rasterizer,
+    gaussians: &Gaussians,
+    view: &View,
+    writer: impl Write,
+    stop: &AtomicBool,
+) -> io::Result<()> {
+    let mut png = begin_png(writer, view.camera.width, view.camera.height)?;
+    let mut rows = png.stream_writer()?;
+    rasterizer.render_bands(gaussians, view, BAND_PIXELS, |band| {
+        if stop.load(Ordering::Relaxed) {
+            return Err(io::ErrorKind::Interrupted.into());
+        }
+        rows.write_all(png_bytes(&band.color).data().as_flattened())
+    })?;
+    rows.finish()?;
+    Ok(png.finish()?)
+}
+
+/// To take a picture's rows from top to bottom.
+fn begin_png<W: Write>(writer: W, width: usize, height: usize) -> io::Result<Writer<W>> {
     let size = |pixels: usize| u32::try_from(pixels).map_err(io::Error::other);
-    let (width, height) = (size(picture.width())?, size(picture.height())?);
-    let bytes = picture.data().as_flattened();
-    PngEncoder::new(writer)
-        .write_image(bytes, width, height, ExtendedColorType::Rgb8)
-        .map_err(|error| match error {
-            ImageError::IoError(error) => error,
-            other => io::Error::other(other),
-        })
+    let mut encoder = Encoder::new(writer, size(width)?, size(height)?);
+    encoder.set_color(ColorType::Rgb);
+    encoder.set_compression(Compression::Fast);
+    encoder.set_filter(Filter::Adaptive);
+    Ok(encoder.write_header()?)
 }

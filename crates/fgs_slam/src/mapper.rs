@@ -10,6 +10,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::color_aligner::ColorAligner;
 use crate::config::{MappingConfig, SlamConfig};
+use crate::image_memory;
 use crate::keyframes::Keyframe;
 use crate::map_alignment::{FrameToAlign, MapReference};
 use crate::missing::missing_region;
@@ -204,7 +205,8 @@ impl Mapper {
         let covisibility = self.model.covisibility(id)?;
         (self.state.choice).set_current(id, &covisibility, MIN_COVISIBLE_SHARE, NEWEST_FIRST);
         self.state.views.push((id, keyframe.frame.index));
-        if self.state.views.len() > self.config.mapping.max_keyframes {
+        let affordable = image_memory::keyframes(&keyframe.frame.camera);
+        if self.state.views.len() > self.config.mapping.max_keyframes.min(affordable) {
             self.drop_most_crowded_view()?;
         }
         Ok(())

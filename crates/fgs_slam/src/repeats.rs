@@ -76,13 +76,25 @@ pub enum Repeat {
     Depth,
 }
 
-/// The last frame that was not a repetition, and what became of it.
+/// The last frame that was not a repetition, or its name, and what became of it.
 #[derive(Clone, Serialize, Deserialize)]
-pub struct LatestFrame {
-    pub frame: Arc<RgbdFrame>,
+pub struct LatestFrame<F = Arc<RgbdFrame>> {
+    pub frame: F,
     pub verdict: Verdict,
     pub world_from_camera: Option<Se3>,
     pub quality: TrackingQuality,
+}
+
+impl<F> LatestFrame<F> {
+    /// The same of a frame that is named otherwise.
+    pub fn with_frame<G>(&self, frame: G) -> LatestFrame<G> {
+        LatestFrame {
+            frame,
+            verdict: self.verdict,
+            world_from_camera: self.world_from_camera,
+            quality: self.quality,
+        }
+    }
 }
 
 impl LatestFrame {

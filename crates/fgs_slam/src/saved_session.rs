@@ -3,7 +3,7 @@
 
 use std::time::Duration;
 
-use fgs_geom::{Camera, FrameIndex, KeyframeId, RgbdFrame, Se3};
+use fgs_geom::{Camera, FrameIndex, KeyframeId, Se3};
 use fgs_graph::KeyframeGraph;
 use serde::{Deserialize, Serialize};
 
@@ -112,12 +112,9 @@ impl SavedSession {
     /// Whether it can be the state of a session: names of keyframes agree, and what has images or
     /// cameras has those of this one.
     pub(crate) fn is_consistent(&self) -> bool {
-        let frame_is_sound =
-            |frame: &RgbdFrame| frame.camera == self.camera && frame.check().is_ok();
         self.keyframes.is_sorted_by(|(a, ..), (b, ..)| a < b)
             && self.keyframes().eq(self.graph.poses().map(|(id, _)| id))
             && self.tracker.is_of(&self.camera)
-            && self.tracker.frames().all(frame_is_sound)
             && self.mapping.is_of(&self.camera)
             && self.mapping.views().is_sorted_by(|a, b| a < b)
             && (self.mapping.views()).all(|id| self.graph.pose(id).is_some())

@@ -75,10 +75,30 @@ pub struct SavedTracker {
     motion: MotionModel,
     moving: MovingThings,
     footing: Footing,
-    latest: Option<LatestFrame>,
     clock: Clock,
-    last: Option<(Arc<RgbdFrame>, Se3)>,
-    unmapped: Option<(Arc<RgbdFrame>, Located)>,
+    frames: SavedFrames,
+    latest: Option<LatestFrame<usize>>,
+    last: Option<(usize, Se3)>,
+    unmapped: Option<(usize, Located)>,
+}
+
+/// The frames that a tracker remembers, mostly one in several roles: each once, named by its place.
+#[derive(Default, Serialize, Deserialize)]
+struct SavedFrames(Vec<Arc<RgbdFrame>>);
+
+impl SavedFrames {
+    fn place_of(&mut self, frame: &Arc<RgbdFrame>) -> usize {
+        let place = self.0.iter().position(|saved| Arc::ptr_eq(saved, frame));
+        place.unwrap_or_else(|| {
+            self.0.push(Arc::clone(frame));
+            self.0.len() - 1
+        })
+    }
+
+    /// `None` if there is none.
+    fn get(&self, place: usize) -> Option<Arc<RgbdFrame>> {
+        self.0.get(place).map(Arc::clone)
+    }
 }
 
 impl SavedTracker {
@@ -92,17 +112,15 @@ impl SavedTracker {
         };
     }
 
-    /// Whether what it remembers beside frames is of a camera.
+    /// Whether what it remembers is of a camera.
     pub fn is_of(&self, camera: &Camera) -> bool {
+        let is_sound = |frame: &Arc<RgbdFrame>| frame.camera == *camera && frame.check().is_ok();
+        let last = self.last.iter().map(|(place, _)| *place);
+        let latest = self.latest.iter().map(|latest| latest.frame);
+        let unmapped = self.unmapped.iter().map(|(place, _)| *place);
         self.moving.are_of(camera)
-    }
-
-    /// The frames that it remembers.
-    pub fn frames(&self) -> impl Iterator<Item = &RgbdFrame> {
-        let last = self.last.iter().map(|(frame, _)| &**frame);
-        let latest = self.latest.iter().map(|latest| &*latest.frame);
-        last.chain(latest)
-            .chain(self.unmapped.iter().map(|(frame, _)| &**frame))
+            && self.frames.0.iter().all(is_sound)
+            && (last.chain(latest).chain(unmapped)).all(|place| place < self.frames.0.len())
     }
 }
 
@@ -123,8 +141,11 @@ impl Tracker {
     /// first frame with enough depth defines the world's axes.
     pub fn restored(camera: &Camera, config: &SlamConfig, saved: SavedTracker) -> Self {
         let mut relocalizer = Relocalizer::default();
-        if let Some((frame, world_from_camera)) = &saved.last {
-            relocalizer.observe(frame, world_from_camera);
+        let frames = saved.frames;
+        if let Some((place, world_from_camera)) = &saved.last
+            && let Some(frame) = frames.get(*place)
+        {
+            relocalizer.observe(&frame, world_from_camera);
         }
         let search_distance_m = config.tracking.max_correspondence_distance_m;
         Self {
@@ -137,10 +158,14 @@ impl Tracker {
             motion: saved.motion,
             moving: saved.moving,
             footing: saved.footing,
-            latest: saved.latest,
+            latest: saved
+                .latest
+                .and_then(|latest| Some(latest.with_frame(frames.get(latest.frame)?))),
             clock: saved.clock,
             newest_keyframe: None,
-            unmapped: saved.unmapped,
+            unmapped: saved
+                .unmapped
+                .and_then(|(place, located)| Some((frames.get(place)?, located))),
             keyframes: config.keyframes.clone(),
         }
     }
@@ -163,17 +188,24 @@ impl Tracker {
 
     /// Everything but the settings and the keyframes.
     pub fn save(&self) -> SavedTracker {
+        let mut frames = SavedFrames::default();
         let last = self.relocalizer.last();
+        let last = last.map(|(frame, pose)| (frames.place_of(frame), *pose));
+        let latest = self.latest.as_ref();
+        let latest = latest.map(|latest| latest.with_frame(frames.place_of(&latest.frame)));
+        let unmapped = self.unmapped.as_ref();
+        let unmapped = unmapped.map(|(frame, located)| (frames.place_of(frame), *located));
         SavedTracker {
             frames_since_keyframe: self.policy.frames_since_keyframe(),
             map: self.map.save(),
             motion: self.motion.clone(),
             moving: self.moving.clone(),
             footing: self.footing.clone(),
-            latest: self.latest.clone(),
             clock: self.clock,
-            last: last.map(|(frame, pose)| (Arc::clone(frame), *pose)),
-            unmapped: self.unmapped.clone(),
+            frames,
+            latest,
+            last,
+            unmapped,
         }
     }
 

@@ -83,6 +83,20 @@ fn assert_same(actual: &SlamOutput, expected: &SlamOutput, what: &str) {
     assert_eq!(actual.loops, expected.loops, "{what}");
 }
 
+/// The last frame is remembered for several reasons, but once.
+#[test]
+fn a_frame_is_saved_once() {
+    let sequence = room(3);
+    let mut slam = started(&sequence, &config(), Execution::Lockstep);
+    for frame in sequence.frames() {
+        slam.push(frame).unwrap();
+    }
+    let state = postcard::to_stdvec(&slam.save().unwrap()).unwrap();
+    let color = sequence.frame(2).color.data().as_flattened().to_vec();
+    let copies = state.windows(color.len()).filter(|part| **part == *color);
+    assert_eq!(copies.count(), 1);
+}
+
 #[test]
 fn a_restored_session_goes_on_to_the_last_bit() {
     let sequence = room(24);

@@ -17,6 +17,7 @@ mod neighbors;
 mod pose_convention;
 mod pose_times;
 mod poses;
+mod repeated_images;
 mod report;
 mod self_calibration;
 #[cfg(test)]
@@ -52,7 +53,7 @@ use survey::Survey;
 
 /// Examine a recording before running it
 ///
-/// Lists what the recording holds and checks for common problems: gaps, missing depth, jumps in
+/// Lists what the recording holds and checks for common problems: gaps, repeated images, missing depth, jumps in
 /// exposure, a wrong depth scale or wrong intrinsics, depth that is not registered to colour or taken at
 /// another time, poses in another convention. Says what to change.
 #[derive(Debug, Args)]
@@ -125,6 +126,7 @@ fn examine(dataset: &Dataset, progress: impl FnMut()) -> Report {
     let mut checks = vec![
         files::check(&survey.unreadable, frames_read),
         timing::check(&times, dataset.format() != Format::Tum),
+        survey.repeats.check(),
         valid_depth::check(&survey.depth_shares),
         along_z,
         survey.exposure.check(),

@@ -8,6 +8,7 @@ use super::depth_along_z::FlatnessWatch;
 use super::depth_to_color::EdgeMatcher;
 use super::exposure::ExposureWatch;
 use super::frame_pairs::PairBuilder;
+use super::repeated_images::RepeatWatch;
 use super::statistics::{depth_share, median_depth};
 
 /// Most frames that are read: they take one core about 10 s at 640x480.
@@ -26,6 +27,8 @@ pub struct Survey {
     pub median_depths_m: Vec<f64>,
     /// Brightness from frame to frame.
     pub exposure: ExposureWatch,
+    /// Images that come twice.
+    pub repeats: RepeatWatch,
     /// How flat flat surfaces are.
     pub flatness: FlatnessWatch,
     /// Agreement of depth with colour edges.
@@ -44,6 +47,7 @@ impl Survey {
             depth_shares: Vec::new(),
             median_depths_m: Vec::new(),
             exposure: ExposureWatch::default(),
+            repeats: RepeatWatch::default(),
             flatness: FlatnessWatch::default(),
             edges: EdgeMatcher::default(),
             pairs: PairBuilder::new(*dataset.camera()),
@@ -85,12 +89,14 @@ impl Survey {
         self.median_depths_m
             .extend(median_depth(&frame.depth_m).map(f64::from));
         self.exposure.add(frame.index, &frame.color);
+        self.repeats.add(frame);
         self.pairs.add(frame);
         self.sensors.add(frame);
     }
 
     fn interrupt(&mut self) {
         self.exposure.interrupt();
+        self.repeats.interrupt();
         self.pairs.interrupt();
         self.sensors.interrupt();
     }

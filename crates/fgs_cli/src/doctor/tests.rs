@@ -417,6 +417,17 @@ fn faults() -> Vec<Fault> {
             "gaps: 1",
         ),
         fault(
+            "images twice",
+            |r| {
+                for i in (5..r.frames.len()).step_by(5) {
+                    r.frames[i].color = r.frames[i - 1].color.clone();
+                }
+            },
+            "repeated images",
+            Warn,
+            "7 of 39 colour images (18 %) and 0 of 39 depth images",
+        ),
+        fault(
             "exposure jump",
             |r| {
                 r.frames[30..]

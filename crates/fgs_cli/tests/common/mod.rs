@@ -19,8 +19,7 @@ pub fn fgs(folder: &Path, arguments: &[&str]) -> Command {
     command
 }
 
-/// The program under a shell's limits, to be run in a folder.
-#[cfg(unix)]
+/// The program under a shell's limits, to be run in a folder; on Unix.
 pub fn limited(folder: &Path, limits: &str, arguments: &str) -> Command {
     let script = format!("{limits}; exec \"$0\" {arguments}");
     let mut shell = Command::new("sh");
@@ -31,8 +30,7 @@ pub fn limited(folder: &Path, limits: &str, arguments: &str) -> Command {
 }
 
 /// Starts the program and presses Ctrl-C when it writes a line that contains an event; with what it
-/// writes from there on.
-#[cfg(unix)]
+/// writes from there on; on Unix.
 pub fn interrupt_at(event: &str, mut command: Command) -> (Child, Lines<BufReader<ChildStdout>>) {
     let mut child = command
         .stdout(Stdio::piped())
@@ -65,11 +63,21 @@ pub fn run(folder: &Path, arguments: &[&str], exit_code: i32) -> Output {
 }
 
 pub fn stderr(output: &Output) -> String {
-    String::from_utf8(output.stderr.clone()).unwrap()
+    text(&output.stderr)
 }
 
 pub fn stdout(output: &Output) -> String {
-    String::from_utf8(output.stdout.clone()).unwrap()
+    text(&output.stdout)
+}
+
+/// With the separators of Unix in paths.
+fn text(bytes: &[u8]) -> String {
+    let text = String::from_utf8(bytes.to_vec()).unwrap();
+    if cfg!(windows) {
+        text.replace('\\', "/")
+    } else {
+        text
+    }
 }
 
 /// A folder with a recording `room` of 12 frames of 160x120 without noise.
@@ -100,6 +108,8 @@ pub fn names(folder: &Path) -> Vec<String> {
     let entries = fs::read_dir(folder).into_iter().flatten();
     let mut names: Vec<_> = entries
         .map(|entry| entry.unwrap().file_name().into_string().unwrap())
+        // Only Unix lets locks be removed by their holders.
+        .filter(|name| cfg!(unix) || !name.ends_with(".lock"))
         .collect();
     names.sort();
     names

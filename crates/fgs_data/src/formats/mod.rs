@@ -13,7 +13,7 @@ use std::fmt;
 use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 
-use fgs_files::is_present;
+use fgs_files::{check_regular, is_present};
 
 use crate::{DataError, Trajectory};
 
@@ -68,15 +68,16 @@ impl Format {
     /// The layout of a folder, by the names in it.
     pub(crate) fn of(folder: &Path) -> Result<Self, DataError> {
         if !folder.is_dir() {
-            return Err(match folder.metadata() {
+            return Err(match check_regular(folder) {
+                Ok(()) => DataError::NotAFolder(folder.into()),
                 Err(error) if error.kind() == ErrorKind::NotFound => {
                     DataError::NoSuchFolder(folder.into())
                 }
+                // Says what it is, a link that leads nowhere for example.
                 Err(source) => DataError::Io {
                     path: folder.into(),
                     source,
                 },
-                Ok(_) => DataError::NotAFolder(folder.into()),
             });
         }
         let has = |name: &str| is_present(&folder.join(name));

@@ -38,7 +38,8 @@ pub struct MappingConfig {
     /// Share of the steps that go to keyframes covisible with the newest; the rest goes to the
     /// others.
     pub covisible_probability: f64,
-    /// At most so many keyframes stay in memory for optimisation.
+    /// At most so many keyframes stay in memory for optimisation; fewer where images are so large that
+    /// they would take more than 2 GB: 97 of 1920x1080, 5 of 12 megapixels.
     pub max_keyframes: usize,
     /// At most so many gaussians stay in the map; where more are needed, those go that the newest
     /// keyframes do not show and the fewest others do. Each takes about 200 bytes of memory, on a

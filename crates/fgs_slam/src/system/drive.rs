@@ -17,9 +17,21 @@ pub fn drive<E: Error>(
     frames: impl Iterator<Item = Result<RgbdFrame, E>>,
     stop: &AtomicBool,
 ) {
+    drive_with(slam, frames, stop, |_| {});
+}
+
+/// As [`drive`], and calls `after_frame` after each frame.
+pub fn drive_with<E: Error>(
+    slam: &mut Slam,
+    frames: impl Iterator<Item = Result<RgbdFrame, E>>,
+    stop: &AtomicBool,
+    mut after_frame: impl FnMut(&mut Slam),
+) {
     until_stopped(slam, stop, |slam| {
         for frame in frames.take_while(|_| !stop.load(Ordering::Relaxed)) {
-            if !push(slam, frame) {
+            let alive = push(slam, frame);
+            after_frame(slam);
+            if !alive {
                 break;
             }
         }

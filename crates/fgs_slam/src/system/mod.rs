@@ -29,10 +29,10 @@ use crate::prepare::KeyframePreparer;
 use preparation::Preparation;
 use worker::{MapperWorker, Ready};
 
-pub use drive::drive;
+pub use drive::{drive, drive_with};
 pub use live::live;
 pub(crate) use mapping::{MapperGone, Mapping, Moves};
-pub use replay::replay;
+pub use replay::{replay, replay_with};
 pub(crate) use worker::{MapReport, MapStatus, SavedMapping};
 
 /// How tracker and mapper take turns.
@@ -102,9 +102,9 @@ pub(crate) fn start(
     );
     Ok(match execution {
         Execution::Lockstep => (Box::new(lockstep::Lockstep::new(worker)), None),
-        Execution::Parallel => (Box::new(parallel::start(worker)?), None),
+        Execution::Parallel => (Box::new(parallel::start(worker, camera)?), None),
         Execution::Realtime => (
-            Box::new(realtime::start(worker)?),
+            Box::new(realtime::start(worker, camera)?),
             Some(realtime::tracker_pool()?),
         ),
     })

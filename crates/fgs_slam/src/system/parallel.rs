@@ -3,8 +3,11 @@
 
 use std::io;
 
+use fgs_geom::Camera;
+
 use super::mapping_thread::{MappingThread, Message, Policy, obey};
 use super::worker::MapperWorker;
+use crate::image_memory;
 
 /// The tracker is at most so many frames ahead of the mapper: enough for both to keep busy across a
 /// keyframe, few enough that the map it tracks against is fresh.
@@ -14,11 +17,11 @@ const MAX_FRAMES_AHEAD: usize = 10;
 ///
 /// # Errors
 /// If it does not start.
-pub fn start(worker: MapperWorker) -> io::Result<MappingThread> {
+pub fn start(worker: MapperWorker, camera: &Camera) -> io::Result<MappingThread> {
     MappingThread::start(
         worker,
         Policy::EveryFrame,
-        MAX_FRAMES_AHEAD,
+        MAX_FRAMES_AHEAD.min(image_memory::waiting_frames(camera)),
         |worker, messages| {
             for message in messages {
                 let steps = match message {

@@ -7,10 +7,12 @@
 use std::io;
 
 use crossbeam_channel::{Receiver, TryRecvError};
+use fgs_geom::Camera;
 use rayon::{ThreadPool, ThreadPoolBuilder};
 
 use super::mapping_thread::{MappingThread, Message, Policy, obey};
 use super::worker::MapperWorker;
+use crate::image_memory;
 
 /// So many keyframes may wait for the mapper: a camera that turns into new ground makes a few in a
 /// row, and each holds its images in memory.
@@ -23,12 +25,12 @@ const TRACKER_SHARE: usize = 4;
 ///
 /// # Errors
 /// If a thread does not start.
-pub fn start(worker: MapperWorker) -> io::Result<MappingThread> {
+pub fn start(worker: MapperWorker, camera: &Camera) -> io::Result<MappingThread> {
     let pool = pool("mapper", rayon::current_num_threads())?;
     MappingThread::start(
         worker,
         Policy::KeyframesWhileRoom,
-        MAX_KEYFRAMES_WAITING,
+        MAX_KEYFRAMES_WAITING.min(image_memory::waiting_frames(camera)),
         move |worker, messages| pool.install(|| optimize_all_the_while(worker, messages)),
     )
 }

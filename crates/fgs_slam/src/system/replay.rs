@@ -31,13 +31,26 @@ pub fn replay<E: Error>(
     frames: impl Iterator<Item = Result<RgbdFrame, E>>,
     stop: &AtomicBool,
 ) {
-    until_stopped(slam, stop, |slam| replay_until(slam, frames, stop));
+    replay_with(slam, frames, stop, |_| {});
+}
+
+/// As [`replay`], and calls `after_frame` after each frame. The recording's clock stands still meanwhile.
+pub fn replay_with<E: Error>(
+    slam: &mut Slam,
+    frames: impl Iterator<Item = Result<RgbdFrame, E>>,
+    stop: &AtomicBool,
+    after_frame: impl FnMut(&mut Slam),
+) {
+    until_stopped(slam, stop, |slam| {
+        replay_until(slam, frames, stop, after_frame);
+    });
 }
 
 fn replay_until<E: Error>(
     slam: &mut Slam,
     mut frames: impl Iterator<Item = Result<RgbdFrame, E>>,
     stop: &AtomicBool,
+    mut after_frame: impl FnMut(&mut Slam),
 ) {
     let mut clock = Clock::default();
     while !stop.load(Ordering::Relaxed) {
@@ -58,6 +71,9 @@ fn replay_until<E: Error>(
                 }
             }
         };
+        let pause = Instant::now();
+        after_frame(slam);
+        clock.stand_still(pause.elapsed());
         if !alive {
             return;
         }
@@ -104,6 +120,13 @@ impl Clock {
         self.last = Some((timestamp_secs, due));
         due
     }
+
+    /// Everything that follows is due so much later.
+    fn stand_still(&mut self, duration: Duration) {
+        if let Some((_, due)) = &mut self.last {
+            *due += duration;
+        }
+    }
 }
 
 #[cfg(test)]
@@ -149,6 +172,15 @@ mod tests {
             .map(|i| (0.030 * i as f64, 40 * i, 40 * (i + 1)))
             .collect();
         assert!(lateness(&frames).iter().all(Duration::is_zero));
+    }
+
+    #[test]
+    fn what_is_done_between_frames_makes_none_late() {
+        let (mut clock, start) = (Clock::default(), Instant::now());
+        clock.due(0.0, start, start);
+        clock.stand_still(20 * FRAME);
+        let asked = start + 20 * FRAME;
+        assert_eq!(clock.due(0.033, asked, asked), start + 21 * FRAME);
     }
 
     #[test]

@@ -4,6 +4,8 @@
 //! block fills 8 SIMD lanes; kernels with 16 lanes process two neighbouring blocks, 4x4 pixels.
 //! Bounds are computed from the ellipse and are conservative: blending tests each pixel anyway.
 
+use std::ops::Range;
+
 use super::lanes::LANES;
 use super::project::Splat;
 use super::real::Real;
@@ -42,23 +44,32 @@ pub(super) struct Touch {
     pub blocks: BlockSet,
 }
 
-/// The tiles of an image.
+/// The tiles of an image, or of a band of its rows.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) struct TileGrid {
+    /// The image's row with which the first tiles begin: a multiple of `TILE_HEIGHT`.
+    pub top: usize,
     pub width: usize,
+    /// Rows of pixels from `top` on.
     pub height: usize,
     pub columns: usize,
     pub rows: usize,
 }
 
 impl TileGrid {
-    pub fn new(width: usize, height: usize) -> Self {
+    pub fn new(width: usize, rows: Range<usize>) -> Self {
         Self {
+            top: rows.start,
             width,
-            height,
+            height: rows.len(),
             columns: width.div_ceil(TILE_WIDTH),
-            rows: height.div_ceil(TILE_HEIGHT),
+            rows: rows.len().div_ceil(TILE_HEIGHT),
         }
+    }
+
+    /// The image's row below the last one.
+    pub fn bottom(&self) -> usize {
+        self.top + self.height
     }
 
     pub fn len(&self) -> usize {
@@ -101,11 +112,11 @@ impl<T: Real> Support<T> {
         let (wxy, wyy) = (splat.whiten_xy, splat.whiten_yy);
         let reach_y = radius / wyy + T::from_f64(SLACK_PX);
         let mean_y = splat.mean2d[1];
-        let (first_row, last_row) = pixels(mean_y - reach_y, mean_y + reach_y, grid.height);
+        let (first_row, last_row) = pixels(mean_y - reach_y, mean_y + reach_y, grid.bottom());
         Self {
             radius2,
             rightmost_dy: -wxy * radius / (wyy * (wyy * wyy + wxy * wxy).sqrt()),
-            first_row,
+            first_row: first_row.max(grid.top as i32),
             last_row,
         }
     }
@@ -125,6 +136,7 @@ impl<T: Real> Support<T> {
         }
         let (tile, tile_blocks) = (TILE_HEIGHT as i32, TILE_COLUMNS as i32);
         let last_tile_row = self.last_row / tile;
+        let top_tile_row = grid.top as i32 / tile;
         for group in (self.first_row / tile..=last_tile_row).step_by(BANDS / TILE_ROWS) {
             let (first, end) = self.columns(splat, grid, group * tile);
             let first_tile = first.iter().fold(i32::MAX, |a, &b| a.min(b)) / tile_blocks;
@@ -141,6 +153,7 @@ impl<T: Real> Support<T> {
                 }
                 let rows = bands.chunks_exact(TILE_ROWS);
                 for (tile_row, bands) in (group..=last_tile_row).zip(rows) {
+                    let first_of_row = (tile_row - top_tile_row) * grid.columns as i32;
                     for tile_column in strip..end_tile.min(strip + STRIP) {
                         let shift = (tile_column - strip) * tile_blocks;
                         let mut blocks = 0;
@@ -149,7 +162,7 @@ impl<T: Real> Support<T> {
                         }
                         if blocks != 0 {
                             touches.push(Touch {
-                                tile: (tile_row * grid.columns as i32 + tile_column) as u32,
+                                tile: (first_of_row + tile_column) as u32,
                                 splat: number,
                                 blocks,
                             });

@@ -20,6 +20,8 @@ mod render_pass;
 mod sample;
 mod tiles;
 
+use std::ops::Range;
+
 use fgs_geom::View;
 use rayon::prelude::*;
 
@@ -56,8 +58,44 @@ impl<T: Real> Rasterizer<T> {
     /// # Panics
     /// If the gaussians' arrays differ in length.
     pub fn render<'a>(&'a mut self, gaussians: &'a Gaussians<T>, view: &View) -> RenderPass<'a, T> {
+        self.render_rows(gaussians, view, 0..view.camera.height)
+    }
+
+    /// Renders a view from top to bottom in bands, so that pictures of any size take little memory: hands
+    /// over each band's images, which together are those of [`render`](Self::render) to the last bit. A
+    /// band has at most `max_pixels`, unless a row of tiles (16 rows of pixels) has more. An error ends it.
+    ///
+    /// # Errors
+    /// Those of `take`.
+    ///
+    /// # Panics
+    /// As [`render`](Self::render).
+    pub fn render_bands<E>(
+        &mut self,
+        gaussians: &Gaussians<T>,
+        view: &View,
+        max_pixels: usize,
+        mut take: impl FnMut(&Rendered<T>) -> Result<(), E>,
+    ) -> Result<(), E> {
+        let (width, height) = (view.camera.width, view.camera.height);
+        let tile_rows = (max_pixels / (TILE_HEIGHT * width.max(1))).max(1);
+        let rows = tile_rows * TILE_HEIGHT;
+        for top in (0..height).step_by(rows) {
+            let band = top..height.min(top + rows);
+            take(self.render_rows(gaussians, view, band).rendered())?;
+        }
+        Ok(())
+    }
+
+    /// `rows` begins at a multiple of `TILE_HEIGHT`.
+    fn render_rows<'a>(
+        &'a mut self,
+        gaussians: &'a Gaussians<T>,
+        view: &View,
+        rows: Range<usize>,
+    ) -> RenderPass<'a, T> {
         let camera = ScreenCamera::new(view);
-        let grid = TileGrid::new(camera.width, camera.height);
+        let grid = TileGrid::new(camera.width, rows);
         self.project(gaussians, &camera, &grid);
         self.lists.deal(&grid, &mut self.chunks);
         self.blend(&camera, &grid);

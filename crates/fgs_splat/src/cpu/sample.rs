@@ -62,7 +62,7 @@ impl<T: Real> TilePixels<T> {
     pub fn new(tile: usize, grid: &TileGrid, camera: &ScreenCamera<T>) -> Self {
         let origin = [
             tile % grid.columns * TILE_WIDTH,
-            tile / grid.columns * TILE_HEIGHT,
+            grid.top + tile / grid.columns * TILE_HEIGHT,
         ];
         let number = |value: usize| T::from_i32(value as i32);
         let u: [T; ROW_PIXELS] = std::array::from_fn(|pixel| {
@@ -119,7 +119,7 @@ impl<T: Real> TilePixels<T> {
     ) {
         let [u0, v0] = self.origin;
         let width = TILE_WIDTH.min(grid.width - u0);
-        for row in 0..TILE_HEIGHT.min(grid.height - v0) {
+        for row in 0..TILE_HEIGHT.min(grid.bottom() - v0) {
             let in_row = row / BLOCK_HEIGHT * ROW_PIXELS + row % BLOCK_HEIGHT * BLOCK_WIDTH;
             let places = std::array::from_fn(|column| {
                 in_row + column / BLOCK_WIDTH * LANES + column % BLOCK_WIDTH

@@ -1,6 +1,6 @@
 //! Rendered values against the closed form and the reference, and each branch of the blending.
 
-use fgs_geom::{Camera, Intrinsics, Se3, View};
+use fgs_geom::{Camera, Image, Intrinsics, Se3, View};
 use rand::RngExt;
 
 use super::scenes::{random_gaussians, random_view, rng, thicken, to_f32};
@@ -26,6 +26,34 @@ fn values<T: Real>(rendered: &Rendered<T>, i: usize) -> [f64; 5] {
         rendered.alpha.data()[i],
     ]
     .map(T::to_f64)
+}
+
+#[test]
+fn bands_are_the_whole_to_the_last_bit() {
+    for (seed, (width, height)) in [(70, 100), (33, 48), (40, 5)].into_iter().enumerate() {
+        let mut rng = rng(seed as u64);
+        let view = random_view(&mut rng, width, height);
+        let gaussians = to_f32(&random_gaussians(&mut rng, &view, 200));
+        let whole = render(&gaussians, &view);
+        for (max_pixels, most_rows) in [(0, 16), (33 * width, 32), (1_000_000, height)] {
+            let mut joined = Rendered::default();
+            let mut rasterizer = Rasterizer::default();
+            let (mut color, mut depth_m, mut alpha) = (Vec::new(), Vec::new(), Vec::new());
+            rasterizer
+                .render_bands(&gaussians, &view, max_pixels, |band| {
+                    assert!(band.color.height() <= most_rows && band.color.width() == width);
+                    color.extend_from_slice(band.color.data());
+                    depth_m.extend_from_slice(band.depth_m.data());
+                    alpha.extend_from_slice(band.alpha.data());
+                    Ok::<_, ()>(())
+                })
+                .unwrap();
+            joined.color = Image::new(width, height, color).unwrap();
+            joined.depth_m = Image::new(width, height, depth_m).unwrap();
+            joined.alpha = Image::new(width, height, alpha).unwrap();
+            assert!(joined == whole, "{width}x{height} {max_pixels}");
+        }
+    }
 }
 
 #[test]
