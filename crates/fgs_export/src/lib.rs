@@ -9,6 +9,7 @@
 //! | points | [`write_points`] of [`surface_points`] |
 //! | mesh | [`write_mesh_ply`], [`write_mesh_obj`], [`write_mesh_glb`] of [`surface_mesh`] |
 //! | trajectory | [`write_kitti`]; TUM's format is [`fgs_data::Trajectory::write`] |
+//! | which way is up | [`up_direction`] |
 //! | photographs with poses | [`TrainingSet::write_colmap`], [`TrainingSet::write_nerfstudio`] |
 
 mod colmap;
@@ -28,6 +29,7 @@ mod splat_glb;
 mod splat_ply;
 mod spz;
 mod training_set;
+mod up;
 
 pub use compressed_ply::write_compressed_ply;
 pub use error::ExportError;
@@ -36,8 +38,9 @@ pub use kitti::write_kitti;
 pub use mesh::{Mesh, surface_mesh};
 pub use mesh_files::{write_mesh_glb, write_mesh_obj, write_mesh_ply};
 pub use points::{Point, surface_points, write_points};
-pub use splat::write_splat;
+pub use splat::{splat_record, write_splat};
 pub use splat_glb::write_splat_glb;
 pub use splat_ply::write_splat_ply;
 pub use spz::write_spz;
 pub use training_set::TrainingSet;
+pub use up::up_direction;
