@@ -121,7 +121,7 @@ fn of_run(path: &Path, stop: &AtomicBool) -> anyhow::Result<Site> {
     });
     let summary = Summary {
         title: recording_name(path).to_string_lossy().into_owned(),
-        numbers: numbers(&result, map),
+        numbers: numbers(&result),
     };
     let site = Site::new(&summary, map, &poses, &keyframes, pictures);
     bar.finish_and_clear();
@@ -161,7 +161,7 @@ fn poses(trajectory: &Trajectory) -> Vec<Se3> {
 }
 
 /// What there is to say about a run.
-fn numbers(result: &RunResult, map: &Gaussians) -> Vec<(String, String)> {
+fn numbers(result: &RunResult) -> Vec<(String, String)> {
     let metrics = &result.metrics;
     let scores = metrics
         .refined
@@ -176,7 +176,6 @@ fn numbers(result: &RunResult, map: &Gaussians) -> Vec<(String, String)> {
         ("frames", some(metrics.frames)),
         ("keyframes", some(metrics.keyframes)),
         ("loops closed", some(metrics.loops)),
-        ("gaussians", some(map.len())),
         ("lost", some(metrics.frames_lost)),
         ("speed", metrics.fps.map(|fps| format!("{fps:.1} fps"))),
         ("ATE", score("ate_rmse_m", 100.0, 2, "cm")),

@@ -4,7 +4,8 @@
 //! only notes frames and keyframes. With one it asks for a map and a frame's images now and then, and then
 //! rests for many times as long as it took to draw them.
 
-use std::collections::BTreeMap;
+use std::borrow::Cow;
+use std::collections::{BTreeMap, VecDeque};
 use std::io;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
@@ -12,6 +13,7 @@ use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
 
 use crossbeam_channel::RecvTimeoutError;
+use fgs_data::Trajectory;
 use fgs_export::up_direction;
 use fgs_geom::{Camera, KeyframeId, RgbdFrame, Se3, View};
 use fgs_slam::{Addition, FrameResult, Slam, SlamEvent, Subscription};
@@ -32,11 +34,13 @@ use crate::site::half_extent;
 /// Room for a second or two; then events are missed.
 const QUEUE: usize = 256;
 /// Drawing takes at most one part in so many of this thread's time.
-const REST: u32 = 25;
+const REST: u32 = 15;
 /// Nobody needs news of the map more often.
 const MIN_REST: Duration = Duration::from_millis(700);
 /// How often to see whether somebody looks on.
 const POLL: Duration = Duration::from_millis(100);
+/// So many poses tell how the camera moves.
+const POSES: usize = 3;
 /// What to wait at the end for slow networks.
 const FAREWELL: Duration = Duration::from_secs(5);
 
@@ -108,7 +112,7 @@ impl LiveView {
             frames: 0,
             keyframes: BTreeMap::new(),
             newest: None,
-            pose: None,
+            poses: VecDeque::new(),
             cameras_up: Vector3::zeros(),
             map: Arc::default(),
             up_of: 0,
@@ -153,8 +157,8 @@ struct Watcher {
     frames: usize,
     keyframes: BTreeMap<u32, Se3>,
     newest: Option<u32>,
-    /// Of the last frame.
-    pose: Option<(usize, Se3)>,
+    /// The last poses, with their times: how the camera moves.
+    poses: VecDeque<(f64, Se3)>,
     /// Sum of the cameras' -y axes.
     cameras_up: Vector3<f64>,
     map: Arc<Gaussians>,
@@ -211,8 +215,9 @@ impl Watcher {
                 });
             }),
             SlamEvent::Images(frame) => {
-                let pose = self.pose.filter(|(index, _)| *index == frame.index.0);
-                self.photographed = pose.map(|(_, pose)| (frame, pose));
+                let last = self.poses.back();
+                let pose = last.filter(|(secs, _)| *secs == frame.timestamp_secs);
+                self.photographed = pose.map(|(_, pose)| (frame, *pose));
             }
             SlamEvent::Snapshot(map) => {
                 self.map = map;
@@ -247,8 +252,11 @@ impl Watcher {
             };
             self.state.change(|scene| scene.put_keyframe(note));
         }
-        self.pose = result.world_from_camera.map(|pose| (result.index.0, pose));
-        if let Some(pose) = result.world_from_camera {
+        if let Some((secs, pose)) = result.timestamp_secs.zip(result.world_from_camera) {
+            self.poses.push_back((secs, pose));
+            if self.poses.len() > POSES {
+                self.poses.pop_front();
+            }
             self.cameras_up -= pose.rotation * Vector3::y();
         }
         let anchor = self
@@ -305,7 +313,7 @@ impl Watcher {
     /// Shows the map, and what it looks like where the last images were taken.
     fn draw(&mut self) {
         // A direction that is found once the map shows more of the room is a better one.
-        if self.map.len() > self.up_of + self.up_of / 2 {
+        if self.map.len() > self.up_of + self.up_of / 4 {
             self.up_of = self.map.len();
             let up = up_direction(&self.map, self.cameras_up);
             self.state.change(|scene| scene.set_up([up.x, up.y, up.z]));
@@ -321,7 +329,7 @@ impl Watcher {
             world_from_camera,
         };
         let rendered = self.threads.install(|| pictures::render(&self.map, &view));
-        let photograph = pictures::color(&frame.color, &size);
+        let photograph = pictures::color(&self.synchronized(&frame).color, &size);
         let shown = pictures::rendered_color(&rendered);
         let depth_m = pictures::small_depth(&frame.depth_m, &size);
         let range = pictures::depth_range(&depth_m);
@@ -345,6 +353,12 @@ impl Watcher {
                 scene.put_picture(picture, jpeg);
             }
         });
+    }
+
+    /// A frame as the camera would have taken it with all rows at once, if it is known how it moved.
+    fn synchronized<'a>(&self, frame: &'a RgbdFrame) -> Cow<'a, RgbdFrame> {
+        let way = Trajectory::new(self.poses.iter().copied());
+        way.map_or(Cow::Borrowed(frame), |way| way.synchronized(frame))
     }
 
     fn addition(&self, addition: &Addition) {

@@ -25,6 +25,7 @@ function trouble(text) {
 const scene = await (await fetch("scene.json")).json();
 document.title = `${scene.title} – fgs-slam`;
 byId("title").textContent = scene.title;
+if (scene.half_extent) document.body.style.setProperty("--aspect", scene.half_extent[0] / scene.half_extent[1]);
 let space;
 try {
   space = new Space(byId("view"), scene.half_extent);
@@ -38,7 +39,7 @@ byId("fly").onclick = () => space.fly();
 byId("show-path").onchange = (event) => space.show(["path", "loop"], event.target.checked);
 byId("show-keyframes").onchange = (event) => space.show(["tracking", "mapping"], event.target.checked);
 space.onFollow = (isOn) => byId("follow").classList.toggle("on", isOn);
-space.onPick = (keyframe) => { space.release(); space.lookFrom(keyframe); };
+space.onPick = (keyframe) => space.lookFrom(keyframe);
 
 if (scene.live) showRun(); else showMap();
 
@@ -131,14 +132,16 @@ function place(run, frame) {
 
 function draw(run) {
   const { frames, phase } = run, last = frames.at(-1);
-  byId("phase").textContent ||= phase.name ?? "";
   if (!byId("phase").classList.contains("broken")) byId("phase").textContent = phase.name ?? "";
   byId("phase").classList.toggle("ended", phase.name === "ended");
   if (phase.total) {
     byId("bar").firstElementChild.style.width = `${(100 * phase.done) / phase.total}%`;
     byId("count").textContent = `${number(phase.done)} / ${number(phase.total)}`;
   }
-  if (phase.message) byId("count").textContent = phase.message;
+  if (phase.name === "ended") {
+    byId("bar").firstElementChild.style.width = "100%";
+    byId("count").textContent = phase.message;
+  }
   if (!last) return;
   space.setPath(frames.map((frame) => place(run, frame)).filter(Boolean));
   const psnr = run.renders.at(-1)?.psnr_db;
@@ -179,7 +182,7 @@ async function showMap() {
   space.setPath(scene.path);
   space.setKeyframes(scene.keyframes);
   const first = scene.keyframes[0] ?? { quat: [1, 0, 0, 0], position: [0, 0, 0] };
-  space.lookFrom(first);
+  space.lookOver(first);
   const cards = scene.keyframes.filter((keyframe) => keyframe.render).map((keyframe) => {
     const card = document.createElement("div");
     card.className = keyframe.input ? "card" : "card single";

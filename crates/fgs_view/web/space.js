@@ -8,7 +8,7 @@ import {
 
 const RECORD_BYTES = 32;
 const COLORS = { path: 0x4cc2ff, tracking: 0x3ecf8e, mapping: 0xb28dff, current: 0xffb020, loop: 0xff5c5c };
-const FRUSTUM_M = 0.09;
+const FRUSTUM_M = 0.06;
 const SPEED_M = 1.2; // a second
 
 /** Splats that can be replaced piece by piece, from records of 32 bytes (the format .splat). */
@@ -87,7 +87,8 @@ export class Space {
     this.canvas = canvas;
     this.halfExtent = halfExtent ?? [0.6, 0.45];
     this.renderer = new WebGLRenderer({ canvas, antialias: false, powerPreference: "high-performance" });
-    this.renderer.setPixelRatio(Math.min(window.devicePixelRatio, 1.5));
+    this.fineness = Math.min(window.devicePixelRatio, 1.5);
+    this.renderer.setPixelRatio(this.fineness);
     this.renderer.setClearColor(0x0c0f15);
     this.scene = new Scene();
     this.world = new Group();
@@ -104,10 +105,11 @@ export class Space {
     this.lines = {};
     this.keys = new Set();
     this.keyframes = [];
+    this.loops = [];
     this.path = [];
     this.follows = false;
     this.setUp([0, -1, 0]);
-    this.lookFrom({ quat: [1, 0, 0, 0], position: [0, 0, 0] });
+    this.lookOver({ quat: [1, 0, 0, 0], position: [0, 0, 0] });
     canvas.tabIndex = 0;
     window.addEventListener("keydown", (event) => this.key(event, true));
     window.addEventListener("keyup", (event) => this.key(event, false));
@@ -139,10 +141,12 @@ export class Space {
 
   setKeyframes(keyframes, loops = []) {
     this.keyframes = keyframes;
+    this.loops = loops;
     for (const kind of ["tracking", "mapping"]) {
-      const same = keyframes.filter((keyframe) => (keyframe.kind ?? "tracking") === kind);
+      // The one that is looked from would only be in the way.
+      const same = keyframes.filter((keyframe) => (keyframe.kind ?? "tracking") === kind && keyframe !== this.lookedFrom);
       const lines = same.flatMap((keyframe) => frustumLines(keyframe, this.halfExtent, FRUSTUM_M));
-      this.setLines(kind, LineSegments, lines, COLORS[kind], 0.75);
+      this.setLines(kind, LineSegments, lines, COLORS[kind], 0.6);
     }
     const places = new Map(keyframes.map((keyframe) => [keyframe.id, keyframe.position]));
     const ends = loops.flatMap(([from, to]) => [places.get(from), places.get(to)]);
@@ -152,7 +156,7 @@ export class Space {
   /** Where the camera is now. */
   setCurrent(pose) {
     this.current = pose;
-    this.setLines("current", LineSegments, frustumLines(pose, this.halfExtent, 2 * FRUSTUM_M), COLORS.current, 1);
+    this.setLines("current", LineSegments, frustumLines(pose, this.halfExtent, 2.5 * FRUSTUM_M), COLORS.current, 1);
     if (this.follows) this.moveBehind(pose, 0.12);
   }
 
@@ -184,6 +188,7 @@ export class Space {
 
   release() {
     this.flight = null;
+    if (this.lookedFrom) { this.lookedFrom = null; this.setKeyframes(this.keyframes, this.loops); }
     if (this.follows) this.follow(false);
   }
 
@@ -204,11 +209,22 @@ export class Space {
   }
 
   /** Looks from where a keyframe was taken. */
-  lookFrom(pose) {
-    const [eye, target] = this.poseInView(pose, 0.02, 0);
+  lookFrom(keyframe) {
+    this.release();
+    this.lookedFrom = keyframe;
+    this.setKeyframes(this.keyframes, this.loops);
+    this.moveTo(this.poseInView(keyframe, 0.02, 0));
+  }
+
+  moveTo([eye, target]) {
     this.camera.position.copy(eye);
     this.controls.target.copy(target);
     this.redraw();
+  }
+
+  /** Stands behind a pose. */
+  lookOver(pose) {
+    this.moveTo(this.poseInView(pose, 0.55, 0.2));
   }
 
   /** Looks at all of it from above and aside. */
@@ -291,12 +307,37 @@ export class Space {
     this.isWaiting = true;
     requestAnimationFrame((now) => {
       this.isWaiting = false;
+      if (!this.isDrawn(now)) return this.redraw();
       const secs = Math.min(0.1, (now - (this.last ?? now)) / 1000);
       this.last = now;
       const isMoving = this.move(secs);
       this.controls.update();
       this.renderer.render(this.scene, this.camera);
+      this.begun = now;
+      const gl = this.renderer.getContext();
+      this.drawing = gl.fenceSync(gl.SYNC_GPU_COMMANDS_COMPLETE, 0);
+      gl.flush();
       if (isMoving) this.redraw(); else this.last = undefined;
+      clearTimeout(this.rest);
+      this.rest = setTimeout(() => this.setFineness(this.fineness), 600);
     });
+  }
+
+  /** Whether the last picture is done: a slow graphics device must not be given ever more to do. It gets
+      coarser pictures while something moves. */
+  isDrawn(now) {
+    if (!this.drawing) return true;
+    const gl = this.renderer.getContext();
+    if (gl.getSyncParameter(this.drawing, gl.SYNC_STATUS) !== gl.SIGNALED) return false;
+    gl.deleteSync(this.drawing);
+    this.drawing = null;
+    if (now - this.begun > 200) this.setFineness(0.5 * this.fineness);
+    return true;
+  }
+
+  setFineness(ratio) {
+    if (this.renderer.getPixelRatio() === ratio) return;
+    this.renderer.setPixelRatio(ratio);
+    this.redraw();
   }
 }
