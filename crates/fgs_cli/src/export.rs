@@ -8,15 +8,17 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use anyhow::Context;
 use clap::{Args, ValueEnum};
+use fgs_data::Trajectory;
 use fgs_export::{
-    ExportError, Keyframe, Mesh, TrainingSet, surface_mesh, surface_points, write_compressed_ply,
-    write_kitti, write_mesh_glb, write_mesh_obj, write_mesh_ply, write_points, write_splat,
-    write_splat_glb, write_splat_ply, write_spz,
+    ExportError, Keyframe, Level, Mesh, TrainingSet, surface_mesh, surface_points, up_direction,
+    write_compressed_ply, write_kitti, write_mesh_glb, write_mesh_obj, write_mesh_ply,
+    write_points, write_splat, write_splat_glb, write_splat_ply, write_spz,
 };
 use fgs_geom::View;
 use fgs_run::{CONFIG, FinishedRun, FrameRow, RunFolder, RunResult, Settings};
 use fgs_splat::Gaussians;
 use indicatif::ProgressBar;
+use nalgebra::Vector3;
 
 use crate::console::Console;
 use crate::failure::{EXIT_DONE, EXIT_INTERRUPTED, UsageError, explain};
@@ -25,6 +27,8 @@ use crate::threads::Threads;
 
 const OF_RUN: &str = "x right, y down, z forward from the first camera";
 const OF_GLTF: &str = "x right, y up; the first camera looks along -z";
+const LEVEL: &str = "level, x right, y down; the first camera looks over z";
+const LEVEL_GLTF: &str = "level, x right, y up; the first camera looks over -z";
 
 /// Take a finished run to other programs
 ///
@@ -37,8 +41,8 @@ Examples:
   fgs export runs/desk --to mesh-glb --voxel-m 0.02
   fgs export runs/desk --to colmap --out desk-colmap
 
-Lengths are metres. The world of a run is the first camera: x right, y down, z forward; spz, glb and
-mesh-glb want y up and are turned.")]
+Lengths are metres. The world of a run is the first camera: x right, y down, z forward. It is turned about
+its origin so that floors are level, unless --raw-axes is given; spz, glb and mesh-glb want y up.")]
 pub struct ExportArgs {
     /// Folder of the run
     run: PathBuf,
@@ -51,6 +55,9 @@ pub struct ExportArgs {
     /// Folder of the recording, for colmap and nerfstudio [default: where it was during the run]
     #[arg(long, value_name = "DIR")]
     dataset: Option<PathBuf>,
+    /// Keep the first camera's axes in place of level ones
+    #[arg(long)]
+    raw_axes: bool,
     /// Side of a voxel, for meshes, metres
     #[arg(long, value_name = "METRES", default_value_t = 0.01, value_parser = voxel_m)]
     voxel_m: f64,
@@ -109,10 +116,12 @@ impl Format {
         }
     }
 
-    fn axes(self) -> &'static str {
-        match self {
-            Self::Spz | Self::Glb | Self::MeshGlb => OF_GLTF,
-            _ => OF_RUN,
+    fn axes(self, is_level: bool) -> &'static str {
+        match (self, is_level) {
+            (Self::Spz | Self::Glb | Self::MeshGlb, true) => LEVEL_GLTF,
+            (Self::Spz | Self::Glb | Self::MeshGlb, false) => OF_GLTF,
+            (_, true) => LEVEL,
+            (_, false) => OF_RUN,
         }
     }
 }
@@ -131,7 +140,10 @@ fn voxel_m(text: &str) -> Result<f64, String> {
 pub fn run(args: &ExportArgs) -> anyhow::Result<u8> {
     let folder = RunFolder::open(&args.run)?;
     let out = out_path(args, &folder)?;
-    let result = RunResult::read(&folder)?;
+    let mut result = RunResult::read(&folder)?;
+    if !args.raw_axes {
+        turn_level(&mut result)?;
+    }
     args.threads.apply()?;
     let stop = interrupt::stop_flag()?;
     let what = match write(args, &result, &out, &stop) {
@@ -143,9 +155,26 @@ pub fn run(args: &ExportArgs) -> anyhow::Result<u8> {
     Console::People.say(format!(
         "{}: {what}\naxes: {}; metres",
         out.display(),
-        args.to.axes()
+        args.to.axes(!args.raw_axes)
     ));
     Ok(EXIT_DONE)
+}
+
+/// Turns maps and poses so that floors are level.
+fn turn_level(result: &mut RunResult) -> anyhow::Result<()> {
+    let poses = result.trajectory.poses();
+    let ups = poses
+        .iter()
+        .map(|pose| -(pose.world_from_camera.rotation * Vector3::y()));
+    let map = result.refined.as_ref().unwrap_or(&result.gaussians);
+    let level = Level::new(up_direction(map, ups.sum()));
+    result.gaussians = level.map(&result.gaussians);
+    result.refined = result.refined.as_ref().map(|map| level.map(map));
+    let poses = poses
+        .iter()
+        .map(|pose| (pose.timestamp_secs, level.pose(&pose.world_from_camera)));
+    result.trajectory = Trajectory::new(poses)?;
+    Ok(())
 }
 
 /// Where to write; makes the folder around it. A file there is replaced, but not one of the run's own.
