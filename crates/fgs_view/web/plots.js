@@ -83,10 +83,12 @@ export function strip(canvas, frames) {
   const [top, step] = [26, width / Math.max(frames.length, 60)];
   frames.forEach((frame, i) => {
     context.fillStyle = color(VERDICTS[frame.status] ?? "--line");
-    context.fillRect(i * step, top + 12, Math.max(step, 0.7), height - top - 12);
+    // Whole pixels: no seams.
+    const [from, to] = [Math.floor(i * step), Math.ceil((i + 1) * step)];
+    context.fillRect(from, top + 12, to - from, height - top - 12);
     if (frame.keyframe) {
       context.fillStyle = color(frame.keyframe === "mapping" ? "--mapping" : "--accent");
-      context.fillRect(i * step, top, Math.max(1.5, Math.min(step, 3)), 9);
+      context.fillRect(from, top, Math.min(to - from, 3), 9);
     }
   });
 }
