@@ -178,7 +178,7 @@ fn numbers(result: &RunResult) -> Vec<(String, String)> {
         ("loops closed", some(metrics.loops)),
         ("lost", some(metrics.frames_lost)),
         ("speed", metrics.fps.map(|fps| format!("{fps:.1} fps"))),
-        ("ATE", score("ate_rmse_m", 100.0, 2, "cm")),
+        ("ATE", score("ate_rmse_m", 1000.0, 2, "mm")),
         ("PSNR", score("psnr_db", 1.0, 2, "dB")),
         ("SSIM", score("ssim", 1.0, 3, "")),
     ];

@@ -179,5 +179,5 @@ fn what_cannot_be_shown_is_refused() {
         1,
         "cannot listen at 203.0.113.1:1",
     );
-    assert!(!folder.path().join("runs").exists());
+    assert!(!folder.path().join("runs/room").exists());
 }

@@ -219,7 +219,8 @@ mod tests {
     #[test]
     fn without_order_the_cameras_decide() {
         let up = Vector3::new(0.1, -1.0, 0.2).normalize();
-        assert_eq!(up_direction(&Gaussians::default(), up), up);
+        let nothing = Gaussians::default();
+        assert!(up_direction(&nothing, up).angle(&up) < 1e-9);
         assert_eq!(
             up_direction(&Gaussians::default(), Vector3::zeros()),
             -Vector3::y()
@@ -238,9 +239,9 @@ mod tests {
                 add(&mut map, cell + turn * Vector3::new(x, y, 0.0));
             }
         }
-        assert_eq!(up_direction(&map, up), up);
+        assert!(up_direction(&map, up).angle(&up) < 1e-9);
         map.means[0] = [f32::NAN; 3];
         map.means[1] = [f32::MAX; 3];
-        assert_eq!(up_direction(&map, up), up);
+        assert!(up_direction(&map, up).angle(&up) < 1e-9);
     }
 }

@@ -177,13 +177,7 @@ mod tests {
     #[test]
     fn a_strangers_name_is_no_host() {
         let own = access("127.0.0.1", "127.0.0.1:1");
-        for host in [
-            "localhost:9000",
-            "127.0.0.1:1",
-            "[::1]:5",
-            "::1",
-            "LOCALHOST",
-        ] {
+        for host in ["localhost:9000", "127.0.0.1:1", "[::1]:5", "LOCALHOST"] {
             assert!(own.is_host(host), "{host}");
         }
         for host in [

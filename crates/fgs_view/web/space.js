@@ -233,7 +233,7 @@ export class Space {
     const [least, largest] = this.splats.extent().map((corner) => corner.applyQuaternion(this.world.quaternion));
     const center = least.clone().add(largest).multiplyScalar(0.5), size = least.distanceTo(largest);
     this.controls.target.copy(center);
-    this.camera.position.copy(center).add(new Vector3(0.35, 0.75, 0.45).multiplyScalar(size));
+    this.camera.position.copy(center).add(new Vector3(0.28, 0.58, 0.36).multiplyScalar(size));
     this.redraw();
   }
 
