@@ -100,6 +100,13 @@ fn a_run_is_watched_from_its_beginning_to_its_end() {
     );
     let phases: Vec<&Value> = news.iter().map(|news| &news["phase"]["name"]).collect();
     assert_eq!(phases.last(), Some(&&Value::from("ended")));
+    // Nobody's looking on changes the results.
+    run(folder.path(), &["run", "room", "--out", "unwatched"], 0);
+    for name in ["trajectory.txt", "map.ply"] {
+        let [watched, unwatched] =
+            ["out", "unwatched"].map(|run| fs::read(folder.path().join(run).join(name)).unwrap());
+        assert!(watched == unwatched, "{name}");
+    }
     // At the end the page shows the map that is saved, apart from the order.
     run(folder.path(), &["view", "out", "--export", "pages"], 0);
     let records = |map: &[u8]| {
