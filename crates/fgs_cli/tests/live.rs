@@ -1,5 +1,7 @@
 //! A run at work and a finished map, as a browser sees them.
 
+#![allow(clippy::unwrap_used, reason = "a test may panic, its helpers too")]
+
 mod common;
 
 use std::fs;

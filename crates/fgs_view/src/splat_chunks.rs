@@ -145,7 +145,7 @@ fn is_seen(old: &[u8], new: &[u8]) -> bool {
     let moved = (0..3).any(|i| (float(old, i) - float(new, i)).abs() > SEEN_M);
     let resized = (3..6).any(|i| {
         let factor = float(old, i) / float(new, i);
-        factor > SEEN_FACTOR || factor < 1.0 / SEEN_FACTOR
+        !(1.0 / SEEN_FACTOR..=SEEN_FACTOR).contains(&factor)
     });
     let mut bytes = old[24..].iter().zip(&new[24..]);
     moved || resized || bytes.any(|(old, new)| old.abs_diff(*new) > SEEN_BYTES)
