@@ -117,7 +117,8 @@ pub struct Scene {
     graph_version: u64,
     renders: Vec<RenderNote>,
     additions: Vec<AdditionNote>,
-    up: [f64; 3],
+    /// Once it is known.
+    up: Option<[f64; 3]>,
     phase: Phase,
     /// Counts the changes of the two above.
     phase_version: u64,
@@ -179,8 +180,8 @@ impl Scene {
     }
 
     pub fn set_up(&mut self, up: [f64; 3]) {
-        self.phase_version += u64::from(self.up != up);
-        self.up = up;
+        self.phase_version += u64::from(self.up != Some(up));
+        self.up = Some(up);
     }
 
     pub fn set_phase(&mut self, phase: Phase) {
@@ -258,7 +259,7 @@ impl Cursor {
             loops: has_graph.then_some(&scene.loops),
             renders: &scene.renders[self.renders..],
             additions: &scene.additions[self.additions..],
-            up: has_phase.then_some(scene.up),
+            up: scene.up.filter(|_| has_phase),
             phase: has_phase.then_some(&scene.phase),
         };
         let is_new = has_graph

@@ -177,7 +177,7 @@ impl Watcher {
                     let start = Instant::now();
                     let took_long = self.note(event);
                     if took_long {
-                        next = Instant::now() + MIN_REST.max(REST * start.elapsed());
+                        next = next.max(Instant::now() + MIN_REST.max(REST * start.elapsed()));
                     }
                 }
                 Err(RecvTimeoutError::Timeout) => {}
