@@ -3,12 +3,13 @@
 use std::path::{Path, PathBuf};
 
 use clap::Args;
-use fgs_run::{Backend, Plan, RunOptions, Settings};
+use fgs_run::{Backend, MAP, Plan, REPORT, RunOptions, Settings, TRAJECTORY};
 use fgs_slam::Execution;
 use fgs_synth::{FRAMES_PER_LOOP, SensorModel, Sequence, kinect_camera};
 
 use crate::console::Console;
 use crate::failure::{EXIT_DONE, explain};
+use crate::live::Live;
 use crate::run::{command_line, execute};
 use crate::threads::Threads;
 use crate::{choices, interrupt, pipeline_cache, synth};
@@ -30,6 +31,8 @@ pub struct DemoArgs {
     /// Where the map is optimised
     #[arg(long, value_parser = choices::backend(), default_value_t)]
     backend: Backend,
+    #[command(flatten)]
+    live: Live,
     #[command(flatten)]
     threads: Threads,
 }
@@ -70,10 +73,15 @@ pub fn run(args: &DemoArgs) -> anyhow::Result<u8> {
         ..RunOptions::default()
     };
     let (plan, model) = Plan::resolve(&options).map_err(explain)?;
-    let exit_code = execute(&plan, model, console, &stop)?;
+    let exit_code = execute(&plan, model, &args.live, console, &stop)?;
     let out = plan.folder.path().display();
     console.say(format!(
-        "\nOpen {out}/report.html in a browser, or try\n  fgs render {out} --fly-through"
+        "
+  report     {out}/{REPORT}
+  map        {out}/{MAP}
+  trajectory {out}/{TRAJECTORY}
+  look at it with
+    fgs view {out}"
     ));
     Ok(exit_code)
 }

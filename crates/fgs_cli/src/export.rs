@@ -8,10 +8,11 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use anyhow::Context;
 use clap::{Args, ValueEnum};
+use fgs_data::Trajectory;
 use fgs_export::{
-    ExportError, Keyframe, Mesh, TrainingSet, surface_mesh, surface_points, write_compressed_ply,
-    write_kitti, write_mesh_glb, write_mesh_obj, write_mesh_ply, write_points, write_splat,
-    write_splat_glb, write_splat_ply, write_spz,
+    ExportError, Keyframe, Level, Mesh, TrainingSet, surface_mesh, surface_points, up_direction,
+    write_compressed_ply, write_kitti, write_mesh_glb, write_mesh_obj, write_mesh_ply,
+    write_points, write_splat, write_splat_glb, write_splat_ply, write_spz,
 };
 use fgs_geom::View;
 use fgs_run::{
@@ -19,6 +20,7 @@ use fgs_run::{
 };
 use fgs_splat::Gaussians;
 use indicatif::ProgressBar;
+use nalgebra::Vector3;
 
 use crate::console::Console;
 use crate::failure::{EXIT_DONE, EXIT_INTERRUPTED, UsageError, explain};
@@ -30,6 +32,8 @@ const EXPORTS: &str = "export";
 
 const OF_RUN: &str = "x right, y down, z forward from the first camera";
 const OF_GLTF: &str = "x right, y up; the first camera looks along -z";
+const LEVEL: &str = "level, x right, y down; the first camera looks over z";
+const LEVEL_GLTF: &str = "level, x right, y up; the first camera looks over -z";
 
 /// Take a finished run to other programs
 ///
@@ -42,8 +46,8 @@ Examples:
   fgs export runs/desk --to mesh-glb --voxel-m 0.02
   fgs export runs/desk --to colmap --out desk-colmap
 
-Lengths are metres. The world of a run is the first camera: x right, y down, z forward; spz, glb and
-mesh-glb want y up and are turned.")]
+Lengths are metres. The world of a run is the first camera: x right, y down, z forward. It is turned about
+its origin so that floors are level, unless --raw-axes is given; spz, glb and mesh-glb want y up.")]
 pub struct ExportArgs {
     /// Folder of the run
     run: PathBuf,
@@ -56,6 +60,9 @@ pub struct ExportArgs {
     /// Folder of the recording, for colmap and nerfstudio [default: where it was during the run]
     #[arg(long, value_name = "DIR")]
     dataset: Option<PathBuf>,
+    /// Keep the first camera's axes in place of level ones
+    #[arg(long)]
+    raw_axes: bool,
     /// Side of a voxel, for meshes, metres
     #[arg(long, value_name = "METRES", default_value_t = 0.01, value_parser = voxel_m)]
     voxel_m: f64,
@@ -114,10 +121,12 @@ impl Format {
         }
     }
 
-    fn axes(self) -> &'static str {
-        match self {
-            Self::Spz | Self::Glb | Self::MeshGlb => OF_GLTF,
-            _ => OF_RUN,
+    fn axes(self, is_level: bool) -> &'static str {
+        match (self, is_level) {
+            (Self::Spz | Self::Glb | Self::MeshGlb, true) => LEVEL_GLTF,
+            (Self::Spz | Self::Glb | Self::MeshGlb, false) => OF_GLTF,
+            (_, true) => LEVEL,
+            (_, false) => OF_RUN,
         }
     }
 }
@@ -142,7 +151,10 @@ pub fn run(args: &ExportArgs) -> anyhow::Result<u8> {
     if args.out.is_some() {
         prepare(&out, &folder)?;
     }
-    let result = RunResult::read(&folder)?;
+    let mut result = RunResult::read(&folder)?;
+    if !args.raw_axes {
+        turn_level(&mut result)?;
+    }
     args.threads.apply()?;
     let stop = interrupt::stop_flag()?;
     let written = match &args.out {
@@ -158,9 +170,26 @@ pub fn run(args: &ExportArgs) -> anyhow::Result<u8> {
     Console::People.say(format!(
         "{}: {what}\naxes: {}; metres",
         out.display(),
-        args.to.axes()
+        args.to.axes(!args.raw_axes)
     ));
     Ok(EXIT_DONE)
+}
+
+/// Turns maps and poses so that floors are level.
+fn turn_level(result: &mut RunResult) -> anyhow::Result<()> {
+    let poses = result.trajectory.poses();
+    let ups = poses
+        .iter()
+        .map(|pose| -(pose.world_from_camera.rotation * Vector3::y()));
+    let map = result.refined.as_ref().unwrap_or(&result.gaussians);
+    let level = Level::new(up_direction(map, ups.sum()));
+    result.gaussians = level.map(&result.gaussians);
+    result.refined = result.refined.as_ref().map(|map| level.map(map));
+    let poses = poses
+        .iter()
+        .map(|pose| (pose.timestamp_secs, level.pose(&pose.world_from_camera)));
+    result.trajectory = Trajectory::new(poses)?;
+    Ok(())
 }
 
 /// Makes the folder around the place that the user named. A file there is replaced, but not one of the

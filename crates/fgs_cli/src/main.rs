@@ -13,6 +13,7 @@ mod failure;
 mod fly_through;
 mod image_size;
 mod interrupt;
+mod live;
 mod memory;
 mod pipeline_cache;
 mod progress;
@@ -20,6 +21,7 @@ mod render;
 mod run;
 mod synth;
 mod threads;
+mod view;
 mod vulkan_layer;
 
 use std::process::ExitCode;
@@ -57,6 +59,7 @@ enum Command {
     Eval(eval::EvalArgs),
     Compare(compare::CompareArgs),
     Render(render::RenderArgs),
+    View(view::ViewArgs),
     Export(export::ExportArgs),
     Synth(synth::SynthArgs),
     Demo(demo::DemoArgs),
@@ -77,6 +80,7 @@ fn main() -> ExitCode {
         Command::Eval(args) => eval::run(&args),
         Command::Compare(args) => compare::run(&args),
         Command::Render(args) => render::run(&args),
+        Command::View(args) => view::run(&args),
         Command::Export(args) => export::run(&args),
         Command::Synth(args) => synth::run(&args),
         Command::Demo(args) => demo::run(&args),

@@ -177,7 +177,7 @@ fn camera(args: &RenderArgs, folder: &Path) -> anyhow::Result<Camera> {
     });
     let size = args.size.or(of_recorded).unwrap_or(DEFAULT_SIZE);
     match (recorded, args.fov) {
-        (Some(camera), None) => Ok(resized(&camera, size).map_err(usage)?),
+        (Some(camera), None) => Ok(camera.resized(size.width, size.height).map_err(usage)?),
         (_, fov) => {
             let fov_deg = fov.unwrap_or(DEFAULT_FOV_DEG);
             let refusal = |_| {
@@ -201,17 +201,6 @@ fn possible_fovs_deg(size: ImageSize) -> [f64; 2] {
         0.1 * tenths(half_width / 100.0).ceil(),
         0.1 * tenths(half_width / 0.1).floor(),
     ]
-}
-
-/// The same horizontal field of view at another size.
-fn resized(camera: &Camera, size: ImageSize) -> Result<Camera, CameraError> {
-    let Intrinsics { fx, fy, cx, cy } = camera.intrinsics;
-    let scale = size.width as f64 / camera.width as f64;
-    // Pixel centres lie at integers, so the image begins at -0.5.
-    let cx = (cx + 0.5) * scale - 0.5;
-    let cy = (cy + 0.5) * (size.height as f64 / camera.height as f64) - 0.5;
-    let (fx, fy) = (fx * scale, fy * scale);
-    Camera::new(size.width, size.height, Intrinsics { fx, fy, cx, cy })
 }
 
 fn with_fov(size: ImageSize, fov_deg: f64) -> Result<Camera, CameraError> {
@@ -247,27 +236,6 @@ mod tests {
         }
         let [least, most] = possible_fovs_deg(SIZE);
         assert!(with_fov(SIZE, least - 0.1).is_err() && with_fov(SIZE, most + 0.1).is_err());
-    }
-
-    #[test]
-    fn another_size_shows_the_same_width() {
-        let intrinsics = Intrinsics {
-            fx: 500.0,
-            fy: 510.0,
-            cx: 300.0,
-            cy: 250.0,
-        };
-        let camera = Camera::new(640, 480, intrinsics).unwrap();
-        let small = resized(&camera, SIZE).unwrap();
-        for (edge, small_edge) in [(-0.5, -0.5), (639.5, 199.5)] {
-            let (a, b) = (camera.ray(edge, 0.0).x, small.ray(small_edge, 0.0).x);
-            assert!((a - b).abs() <= 1e-12);
-        }
-        let size = ImageSize {
-            width: 640,
-            height: 480,
-        };
-        assert_eq!(resized(&camera, size).unwrap(), camera);
     }
 
     #[test]

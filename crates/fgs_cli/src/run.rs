@@ -1,6 +1,7 @@
 //! `fgs run`: turns the arguments into options of a run, executes it and reports.
 
 use std::path::PathBuf;
+use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use anyhow::bail;
@@ -13,6 +14,7 @@ use serde_json::json;
 
 use crate::console::{Console, complain};
 use crate::failure::{EXIT_DONE, EXIT_INTERRUPTED, explain};
+use crate::live::{Live, Watchers};
 use crate::progress::Progress;
 use crate::threads::Threads;
 use crate::{choices, interrupt, pipeline_cache};
@@ -30,6 +32,7 @@ Examples:
   fgs run recordings/desk --refine 2000 --eval        a second, finer map: refined.ply
   fgs run recordings/desk --eval-holdout 8 --eval     scored by views the map has never seen
   fgs run recordings/desk --config runs/desk/config.effective.toml   repeats a run
+  fgs run recordings/desk --live                      watch it in a browser
   fgs run recordings/desk --checkpoint-every 60       can go on after a power cut:
   fgs run --resume runs/desk
   fgs run recordings/desk-again --map runs/desk       goes on in a known place, once it is recognised
@@ -63,6 +66,10 @@ Maps: --checkpoint-every leaves a folder NAME.map beside the results' NAME, whic
 --resume goes on with the same recording, in lockstep with the same results as if nothing had happened.
 --map starts another recording of the same place, of the same camera, in the map's coordinates; with
 --localize-only the map stays as it is. Settings are the map's unless --config is given.
+
+Live page: --live serves a page at http://127.0.0.1:7070/ with what the run sees and builds. From another
+machine: `ssh -L 7070:localhost:7070 HOST`, or `--live 0.0.0.0:7070` and the address that is printed, with
+its token. Whoever has the address can stop the run.
 
 Exit code: 0 done, 1 failed, 2 usage error, 130 stopped by Ctrl-C (the results so far are saved; a
 second Ctrl-C skips that). If a graphics device fails, the results so far are saved too.")]
@@ -123,6 +130,8 @@ pub struct RunArgs {
     /// others, as test views
     #[arg(long, value_name = "N")]
     eval_holdout: Option<Holdout>,
+    #[command(flatten)]
+    live: Live,
     /// Write JSON to stdout, one event per line; the last one holds the metrics
     #[arg(long)]
     json: bool,
@@ -161,7 +170,7 @@ pub fn run(args: &RunArgs) -> anyhow::Result<u8> {
     let stop = interrupt::stop_flag()?;
     let console = Console::new(args.json);
     measure_sensor_times(&mut plan, console, &stop);
-    execute(&plan, model, console, &stop)
+    execute(&plan, model, &args.live, console, &stop)
 }
 
 /// Measures when the sensors take their images, if the camera file leaves it open, and reports it.
@@ -212,13 +221,18 @@ pub fn command_line() -> String {
 pub fn execute(
     plan: &Plan,
     model: Model,
+    live: &Live,
     console: Console,
-    stop: &AtomicBool,
+    stop: &Arc<AtomicBool>,
 ) -> anyhow::Result<u8> {
     announce(plan, &model, console);
-    let mut progress = Progress::new(plan.frames_left().len(), console);
-    let result = plan.run(model, &mut progress, stop);
-    drop(progress);
+    let live = live.start(plan, console, stop)?;
+    let mut watchers = Watchers {
+        progress: Progress::new(plan.frames_left().len(), console),
+        live,
+    };
+    let result = plan.run(model, &mut watchers, stop);
+    watchers.end(plan, &result);
     let result = result.map_err(explain)?;
     report(plan, &result, console)?;
     Ok(if stop.load(Ordering::Relaxed) {

@@ -38,8 +38,8 @@ fn every_format() {
     let gaussians = &metrics["refined"]["num_gaussians"];
     let keyframes = &metrics["keyframes"];
 
-    let down = "axes: x right, y down, z forward from the first camera; metres\n";
-    let up = "axes: x right, y up; the first camera looks along -z; metres\n";
+    let down = "axes: level, x right, y down; the first camera looks over z; metres\n";
+    let up = "axes: level, x right, y up; the first camera looks over -z; metres\n";
     for (format, name, axes) in [
         ("ply", "map.ply", down),
         ("compressed-ply", "map.compressed.ply", down),
@@ -55,8 +55,13 @@ fn every_format() {
             );
         }
     }
-    // The refined map.
+    // The refined map, level and not.
+    let level = fgs_splat::read_ply(&exports.join("map.ply")).unwrap();
+    let text = export(path, &["--to", "ply", "--raw-axes"]);
+    assert!(text.contains("axes: x right, y down, z forward from the first camera; metres"));
     let map = fgs_splat::read_ply(&exports.join("map.ply")).unwrap();
+    assert_ne!(level.means, map.means);
+    assert_eq!(level.log_scales, map.log_scales);
     let refined = fgs_splat::read_ply(&path.join("runs/room/refined.ply")).unwrap();
     assert_eq!(map.means, refined.means);
     assert_eq!(map.opacity_logits, refined.opacity_logits);
@@ -79,12 +84,13 @@ fn every_format() {
         assert!(exports.join(name).is_file());
     }
 
-    let poses = format!("{FRAMES} poses, 0 frames without one left out\n{down}");
+    let own = "axes: x right, y down, z forward from the first camera; metres\n";
+    let poses = format!("{FRAMES} poses, 0 frames without one left out\n{own}");
     for (format, name) in [
         ("tum", "trajectory.tum.txt"),
         ("kitti", "trajectory.kitti.txt"),
     ] {
-        let text = export(path, &["--to", format]);
+        let text = export(path, &["--to", format, "--raw-axes"]);
         assert_eq!(text, format!("runs/room/export/{name}: {poses}"));
     }
     // Quaternions are normalised when they are read, which may change their last digits.

@@ -9,7 +9,6 @@ use std::io::{self, Write};
 
 use fgs_splat::Gaussians;
 
-use crate::ply::write_floats;
 use crate::quantities::{byte, unit_quat};
 
 /// Writes all gaussians.
@@ -23,13 +22,21 @@ pub fn write_splat(out: &mut impl Write, gaussians: &Gaussians) -> io::Result<()
     };
     let mut order: Vec<usize> = (0..gaussians.len()).collect();
     order.sort_by(|a, b| visibility(*b).total_cmp(&visibility(*a)));
-    for i in order {
-        let [red, green, blue] = gaussians.rgb(i).map(byte);
-        let quat = unit_quat(gaussians, i).map(|q| (128.0 + 128.0 * q).round() as u8);
-        write_floats(out, &gaussians.means[i])?;
-        write_floats(out, &gaussians.scales(i))?;
-        out.write_all(&[red, green, blue, byte(gaussians.opacity(i))])?;
-        out.write_all(&quat)?;
+    order
+        .into_iter()
+        .try_for_each(|i| out.write_all(&splat_record(gaussians, i)))
+}
+
+/// The 32 bytes of gaussian i.
+pub fn splat_record(gaussians: &Gaussians, i: usize) -> [u8; 32] {
+    let mut record = [0; 32];
+    let lengths = gaussians.means[i].into_iter().chain(gaussians.scales(i));
+    for (bytes, length) in record.chunks_exact_mut(4).zip(lengths) {
+        bytes.copy_from_slice(&length.to_le_bytes());
     }
-    Ok(())
+    let [red, green, blue] = gaussians.rgb(i).map(byte);
+    record[24..28].copy_from_slice(&[red, green, blue, byte(gaussians.opacity(i))]);
+    let quat = unit_quat(gaussians, i).map(|q| (128.0 + 128.0 * q).round() as u8);
+    record[28..].copy_from_slice(&quat);
+    record
 }

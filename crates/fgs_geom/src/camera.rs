@@ -86,6 +86,20 @@ impl Camera {
         })
     }
 
+    /// The same horizontal field of view in images of another size.
+    ///
+    /// # Errors
+    /// If the size is out of range, or the principal point would lie outside.
+    pub fn resized(&self, width: usize, height: usize) -> Result<Self, CameraError> {
+        let Intrinsics { fx, fy, cx, cy } = self.intrinsics;
+        let scale = width as f64 / self.width as f64;
+        // Pixel centres lie at integers, so the image begins at -0.5.
+        let cx = (cx + 0.5) * scale - 0.5;
+        let cy = (cy + 0.5) * (height as f64 / self.height as f64) - 0.5;
+        let (fx, fy) = (fx * scale, fy * scale);
+        Self::new(width, height, Intrinsics { fx, fy, cx, cy })
+    }
+
     /// Projects a point in camera coordinates to pixel coordinates, which may lie outside the
     /// image. `None` if the point is not in front of the camera.
     #[inline]
@@ -159,5 +173,23 @@ mod tests {
         assert_eq!(refused(640, 480, |i| i.fy = f64::NAN), "fy");
         assert_eq!(refused(640, 480, |i| i.cx = 1000.0), "cx");
         assert_eq!(refused(640, 480, |i| i.cy = f64::INFINITY), "cy");
+    }
+
+    #[test]
+    fn another_size_shows_the_same_width() {
+        let intrinsics = Intrinsics {
+            fx: 500.0,
+            fy: 510.0,
+            cx: 300.0,
+            cy: 250.0,
+        };
+        let camera = Camera::new(640, 480, intrinsics).unwrap();
+        let small = camera.resized(200, 100).unwrap();
+        for (edge, small_edge) in [(-0.5, -0.5), (639.5, 199.5)] {
+            let (a, b) = (camera.ray(edge, 0.0).x, small.ray(small_edge, 0.0).x);
+            assert!((a - b).abs() <= 1e-12);
+        }
+        assert_eq!(camera.resized(640, 480).unwrap(), camera);
+        assert!(camera.resized(0, 480).is_err());
     }
 }

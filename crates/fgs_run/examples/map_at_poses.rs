@@ -70,7 +70,7 @@ fn map(dataset: &Dataset, poses: &Trajectory) -> Result<Gaussians> {
             new_points: Vec::new(),
         };
         let missing = mapper.missing_region(&keyframe)?;
-        mapper.insert(preparer.prepare(keyframe, &missing)?)?;
+        mapper.insert(preparer.prepare(keyframe, missing)?)?;
         for _ in 0..steps {
             mapper.step()?;
         }

@@ -41,6 +41,7 @@ pub fn drive(
     let checkpoints = checkpoints(plan, &mut slam)?;
     // Room for every frame: whoever looks on may be slow, but the log of a run is whole.
     let events = slam.subscribe(plan.frames.len() + 1);
+    observer.begin(&slam);
     let (output, saved) = thread::scope(|scope| {
         let tracking = scope.spawn(|| {
             let frames = plan.dataset.frames(plan.frames_left());

@@ -1,6 +1,8 @@
 //! What the outside sees of a run while it works: progress bars, logs and viewers implement
 //! [`RunObserver`].
 
+use fgs_slam::Slam;
+
 use crate::frame_log::FrameRow;
 
 /// Something that happened.
@@ -37,6 +39,10 @@ pub enum RunEvent<'a> {
 /// Sees every event, in order. While frames are tracked and the map is refined it is called on another
 /// thread than the one that tracks: a slow observer does not slow the run.
 pub trait RunObserver {
+    /// Called once, before the first frame. Whoever wants to see more than [`RunEvent`]s subscribes to the
+    /// session's own.
+    fn begin(&mut self, _session: &Slam) {}
+
     /// Called for each event.
     fn on(&mut self, event: &RunEvent<'_>);
 }

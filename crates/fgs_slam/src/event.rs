@@ -7,7 +7,7 @@ use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use crossbeam_channel::{Receiver, Sender, TrySendError, bounded};
-use fgs_geom::{KeyframeId, Se3};
+use fgs_geom::{Image, KeyframeId, RgbdFrame, Se3};
 use fgs_splat::Gaussians;
 
 use crate::frame_result::FrameResult;
@@ -46,6 +46,23 @@ pub enum SlamEvent {
     },
     /// The map as it was a moment ago; comes when a subscriber asked for it.
     Snapshot(Arc<Gaussians>),
+    /// The images of the frame that was tracked last; comes when a subscriber asked for it.
+    Images(Arc<RgbdFrame>),
+    /// What a keyframe gives to the map; comes when a subscriber asked for it.
+    Addition(Arc<Addition>),
+}
+
+/// What a keyframe gives to the map.
+#[derive(Clone, Debug)]
+pub struct Addition {
+    /// The keyframe's images.
+    pub frame: Arc<RgbdFrame>,
+    /// Where the image has detail, by its frequencies: seeds stand close there. Of the image's size.
+    pub detail: Image<bool>,
+    /// Where the map lacked gaussians. Of the image's size.
+    pub missing: Image<bool>,
+    /// How many gaussians are added.
+    pub seeds: usize,
 }
 
 /// One who looks on. Dropping it ends the subscription.
@@ -53,7 +70,15 @@ pub enum SlamEvent {
 pub struct Subscription {
     events: Receiver<SlamEvent>,
     missed: Arc<AtomicUsize>,
-    snapshot_wanted: Arc<AtomicBool>,
+    wanted: Arc<Wanted>,
+}
+
+/// What is costly to hand out and is made only if somebody has asked for it since it was made last.
+#[derive(Debug, Default)]
+struct Wanted {
+    snapshot: AtomicBool,
+    images: AtomicBool,
+    addition: AtomicBool,
 }
 
 impl Subscription {
@@ -69,7 +94,17 @@ impl Subscription {
 
     /// Asks for a [`SlamEvent::Snapshot`], which follows as soon as the mapper comes to it.
     pub fn request_snapshot(&self) {
-        self.snapshot_wanted.store(true, Ordering::Relaxed);
+        self.wanted.snapshot.store(true, Ordering::Relaxed);
+    }
+
+    /// Asks for [`SlamEvent::Images`] of the next frame that is tracked.
+    pub fn request_images(&self) {
+        self.wanted.images.store(true, Ordering::Relaxed);
+    }
+
+    /// Asks for [`SlamEvent::Addition`] of the next keyframe that joins the map.
+    pub fn request_addition(&self) {
+        self.wanted.addition.store(true, Ordering::Relaxed);
     }
 }
 
@@ -77,7 +112,7 @@ impl Subscription {
 #[derive(Clone, Default)]
 pub(crate) struct EventHub {
     subscribers: Arc<Mutex<Vec<Subscriber>>>,
-    snapshot_wanted: Arc<AtomicBool>,
+    wanted: Arc<Wanted>,
 }
 
 struct Subscriber {
@@ -97,13 +132,27 @@ impl EventHub {
         Subscription {
             events,
             missed,
-            snapshot_wanted: Arc::clone(&self.snapshot_wanted),
+            wanted: Arc::clone(&self.wanted),
         }
     }
 
     /// Whether a snapshot was asked for since the last call.
     pub fn take_snapshot_request(&self) -> bool {
-        self.snapshot_wanted.swap(false, Ordering::Relaxed)
+        self.wanted.snapshot.swap(false, Ordering::Relaxed)
+    }
+
+    /// Hands out a frame's images if somebody has asked for them.
+    pub fn publish_images(&self, frame: &Arc<RgbdFrame>) {
+        if self.wanted.images.swap(false, Ordering::Relaxed) {
+            self.publish(|| SlamEvent::Images(Arc::clone(frame)));
+        }
+    }
+
+    /// Hands out what a keyframe gives to the map if somebody has asked for it.
+    pub fn publish_addition(&self, addition: impl FnOnce() -> Addition) {
+        if self.wanted.addition.swap(false, Ordering::Relaxed) {
+            self.publish(|| SlamEvent::Addition(Arc::new(addition())));
+        }
     }
 
     /// Hands an event to everyone whose queue has room. Makes none where nobody looks on.
@@ -140,6 +189,8 @@ impl EventHub {
 
 #[cfg(test)]
 mod tests {
+    use fgs_geom::{Camera, FrameIndex, Intrinsics};
+
     use super::*;
 
     fn snapshot() -> SlamEvent {
@@ -171,6 +222,36 @@ mod tests {
         assert!(kept.events().recv().is_ok());
         assert!(kept.events().recv().is_err());
         hub.publish(|| unreachable!("nobody looks on"));
+    }
+
+    #[test]
+    fn an_addition_is_handed_out_once_for_each_time_it_is_asked_for() {
+        let hub = EventHub::default();
+        let subscription = hub.subscribe(5);
+        let intrinsics = Intrinsics {
+            fx: 2.0,
+            fy: 2.0,
+            cx: 0.5,
+            cy: 0.0,
+        };
+        let camera = Camera::new(2, 1, intrinsics).unwrap();
+        let (color, depth_m) = (Image::filled(2, 1, [0; 3]), Image::filled(2, 1, 1.0));
+        let frame = RgbdFrame::new(FrameIndex(7), 0.0, color, depth_m, camera);
+        let frame = Arc::new(frame.unwrap());
+        let addition = || Addition {
+            frame: Arc::clone(&frame),
+            detail: Image::filled(2, 1, true),
+            missing: Image::filled(2, 1, false),
+            seeds: 3,
+        };
+        hub.publish_addition(|| unreachable!("nobody has asked"));
+        subscription.request_addition();
+        hub.publish_addition(addition);
+        hub.publish_addition(addition);
+        let events: Vec<SlamEvent> = subscription.events().try_iter().collect();
+        assert!(
+            matches!(&events[..], [SlamEvent::Addition(a)] if a.frame.index.0 == 7 && a.seeds == 3)
+        );
     }
 
     #[test]

@@ -41,7 +41,7 @@ pub use config::{
     KeyframeConfig, LoopConfig, MappingConfig, SeedingConfig, SlamConfig, SurfaceConfig,
     TrackingConfig,
 };
-pub use event::{SlamEvent, Subscription};
+pub use event::{Addition, SlamEvent, Subscription};
 pub use fgs_splat::SettingError;
 pub use frame_result::{FrameResult, FrameStatus, TrackingQuality};
 pub use holdout::{Holdout, HoldoutError};

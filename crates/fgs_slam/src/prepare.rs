@@ -31,6 +31,10 @@ pub struct PreparedKeyframe {
     pub seeds: Seeds,
     /// What it looks like.
     pub target: Target,
+    /// Where its image has detail.
+    pub detail: Image<bool>,
+    /// Where the map lacked gaussians.
+    pub missing: Image<bool>,
 }
 
 impl KeyframePreparer {
@@ -50,7 +54,7 @@ impl KeyframePreparer {
     pub fn prepare(
         &mut self,
         keyframe: Keyframe,
-        missing: &Image<bool>,
+        missing: Image<bool>,
     ) -> Result<PreparedKeyframe, LossError> {
         let frame = &keyframe.frame;
         let detail = self.segmenter.segment_frame(frame);
@@ -61,12 +65,14 @@ impl KeyframePreparer {
             &self.seeding,
             self.surface,
         );
-        let seeds = seeder.seeds(missing, &keyframe.new_points);
+        let seeds = seeder.seeds(&missing, &keyframe.new_points);
         let target = Target::from_frame(frame)?;
         Ok(PreparedKeyframe {
             keyframe,
             seeds,
             target,
+            detail,
+            missing,
         })
     }
 }

@@ -346,6 +346,7 @@ impl Slam {
             tracking: Some(tracked.quality),
         };
         self.record(result.clone(), None);
+        self.events.publish_images(&frame);
         self.mapping.after_frame(tracked.work)?;
         if let Some((id, _, frame)) = keyframe {
             self.close_loop(id, &frame)?;

@@ -36,7 +36,7 @@ fn keyframes_beyond_the_limit_are_dropped_whatever_their_order() {
         let keyframe = keyframe(i, frame, sequence.world_from_camera(i));
         let missing = mapper.missing_region(&keyframe).unwrap();
         assert!(i > 0 || missing.data().iter().any(|missing| *missing));
-        let prepared = preparer.prepare(keyframe, &missing).unwrap();
+        let prepared = preparer.prepare(keyframe, missing).unwrap();
         mapper.insert(prepared).unwrap();
         (0..3).for_each(|_| mapper.step().unwrap());
     }
@@ -62,7 +62,7 @@ fn a_hole_that_is_measured_later_ends_at_its_measured_depth() {
         let view = keyframe.view();
         let missing = mapper.missing_region(&keyframe).unwrap();
         assert!(missing.at(80, 60));
-        let prepared = preparer.prepare(keyframe, &missing).unwrap();
+        let prepared = preparer.prepare(keyframe, missing).unwrap();
         mapper.insert(prepared).unwrap();
         let gaussians = mapper.gaussians().unwrap();
         let mut rasterizer = Rasterizer::default();

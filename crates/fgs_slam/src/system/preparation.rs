@@ -48,10 +48,7 @@ impl Preparation {
         let (to_mapper, answers) = bounded(1);
         Builder::new().name("preparer".into()).spawn(move || {
             for (keyframe, missing) in queue {
-                if to_mapper
-                    .send(preparer.prepare(keyframe, &missing))
-                    .is_err()
-                {
+                if to_mapper.send(preparer.prepare(keyframe, missing)).is_err() {
                     break;
                 }
             }
@@ -67,7 +64,7 @@ impl Preparation {
     pub fn begin(&mut self, keyframe: Keyframe, missing: Image<bool>) -> Result<(), MapperError> {
         match self {
             Self::InTurn { preparer, ready } => {
-                *ready = Some(Box::new(preparer.prepare(keyframe, &missing)?));
+                *ready = Some(Box::new(preparer.prepare(keyframe, missing)?));
             }
             Self::OnThread { jobs, busy, .. } => {
                 jobs.send((keyframe, missing)).map_err(|_| gone())?;

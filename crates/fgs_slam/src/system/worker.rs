@@ -14,9 +14,10 @@ use serde::{Deserialize, Serialize};
 use super::budget::Budget;
 use super::preparation::Preparation;
 use crate::config::SlamConfig;
-use crate::event::{EventHub, SlamEvent};
+use crate::event::{Addition, EventHub, SlamEvent};
 use crate::keyframes::{FrameWork, Keyframe};
 use crate::mapper::{Mapper, MapperError, MapperState};
+use crate::prepare::PreparedKeyframe;
 use crate::refinement::RefinedMap;
 
 /// What the mapper tells the tracking side. Bounded by the size of the map.
@@ -311,9 +312,20 @@ impl MapperWorker {
     /// Waits for the keyframe that is being prepared, if any, and lets it join the map.
     pub fn settle(&mut self) -> Result<(), MapperError> {
         match self.preparation.wait()? {
-            Some(prepared) => self.mapper.insert(prepared),
+            Some(prepared) => self.insert(prepared),
             None => Ok(()),
         }
+    }
+
+    /// Lets a keyframe join the map.
+    fn insert(&mut self, prepared: PreparedKeyframe) -> Result<(), MapperError> {
+        self.events.publish_addition(|| Addition {
+            frame: Arc::clone(&prepared.keyframe.frame),
+            detail: prepared.detail.clone(),
+            missing: prepared.missing.clone(),
+            seeds: prepared.seeds.sparse_ids.len(),
+        });
+        self.mapper.insert(prepared)
     }
 
     /// One optimisation step; before it, a keyframe that is ready joins the map. The first keyframe
@@ -325,7 +337,7 @@ impl MapperWorker {
         if !self.mapper.has_views() {
             self.settle()?;
         } else if let Some(prepared) = self.preparation.poll()? {
-            self.mapper.insert(prepared)?;
+            self.insert(prepared)?;
         }
         self.mapper.step()
     }

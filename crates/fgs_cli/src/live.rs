@@ -1,0 +1,95 @@
+//! `--live`: a run that can be watched in a browser.
+
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
+
+use anyhow::Context;
+use clap::Args;
+use fgs_run::{Plan, RunError, RunEvent, RunObserver, RunResult, recording_name};
+use fgs_slam::Slam;
+use fgs_view::{Address, LiveView};
+use serde_json::json;
+
+use crate::console::{Console, complain};
+use crate::progress::Progress;
+
+/// The option.
+#[derive(Debug, Args)]
+pub struct Live {
+    /// Show the run at work in a browser. With an address other machines can look on, too, if they know the
+    /// token that is printed [default: 127.0.0.1:7070]
+    #[arg(long, value_name = "ADDRESS", num_args = 0..=1)]
+    live: Option<Option<Address>>,
+}
+
+impl Live {
+    /// Serves the page, if it is wanted, and says where it is.
+    ///
+    /// # Errors
+    /// If the address cannot be listened at.
+    pub fn start(
+        &self,
+        plan: &Plan,
+        console: Console,
+        stop: &Arc<AtomicBool>,
+    ) -> anyhow::Result<Option<LiveView>> {
+        let Some(address) = &self.live else {
+            return Ok(None);
+        };
+        let address = address.clone().unwrap_or_default();
+        let title = recording_name(&plan.dataset_path);
+        let view = LiveView::start(
+            &address,
+            &title.to_string_lossy(),
+            plan.dataset.camera(),
+            plan.frames_left().len(),
+            Arc::clone(stop),
+        )
+        .with_context(|| format!("--live: cannot listen at {address}"))?;
+        let url = view.server().url();
+        console.event("live", json!({ "url": url }));
+        console.say(format!("live page  {url}"));
+        Ok(Some(view))
+    }
+}
+
+/// All who look on: at the terminal, and in a browser.
+pub struct Watchers {
+    /// The terminal.
+    pub progress: Progress,
+    /// The browser, if there is one.
+    pub live: Option<LiveView>,
+}
+
+impl Watchers {
+    /// The run has ended.
+    pub fn end(self, plan: &Plan, result: &Result<RunResult, RunError>) {
+        drop(self.progress);
+        let Some(view) = self.live else { return };
+        match result {
+            Ok(result) => {
+                let folder = plan.folder.path().display();
+                let map = result.refined.as_ref().unwrap_or(&result.gaussians);
+                let message = format!("results in {folder}: fgs view {folder}");
+                view.end(Some(map), message);
+            }
+            Err(error) => view.end(None, error.to_string()),
+        }
+    }
+}
+
+impl RunObserver for Watchers {
+    fn begin(&mut self, session: &Slam) {
+        if let Some(Err(error)) = self.live.as_mut().map(|view| view.watch(session)) {
+            complain(format_args!("warning: the live page stays empty: {error}"));
+            self.live = None;
+        }
+    }
+
+    fn on(&mut self, event: &RunEvent<'_>) {
+        self.progress.on(event);
+        if let (Some(view), RunEvent::Scored { done, total }) = (&self.live, event) {
+            view.phase("scoring", *done, *total);
+        }
+    }
+}

@@ -1,0 +1,26 @@
+//! Runs and maps in a browser, from a machine without a screen.
+//!
+//! Both are one page of plain files (`web/`), which shows splats with Spark and three.js, in the
+//! repository with their licences, so that it works offline. [`Site`] is a finished map: pages to be
+//! served, or written to a folder for any web server. [`LiveView`] is a run at work; it looks on from a
+//! thread of its own, and only while a browser does.
+//!
+//! [`Server`] is a few threads over the standard library's sockets: it answers with files, and with one stream
+//! of what changes. Every limit is one of its own: time to wait for a client, size of a request, number
+//! of clients.
+
+mod access;
+mod live_state;
+mod live_view;
+mod page;
+mod pictures;
+mod request;
+mod response;
+mod server;
+mod site;
+mod splat_chunks;
+
+pub use access::Address;
+pub use live_view::LiveView;
+pub use server::Server;
+pub use site::{KeyframePictures, Site, SiteKeyframe, Summary};
