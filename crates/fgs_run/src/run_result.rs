@@ -8,9 +8,7 @@ use fgs_splat::Gaussians;
 use crate::error::RunError;
 use crate::frame_log::{self, FrameRow};
 use crate::metrics::Metrics;
-use crate::run_folder::{
-    FRAMES, MAP, REFINED_MAP, RunFolder, TRAJECTORY, of_submap, write,
-};
+use crate::run_folder::{FRAMES, MAP, REFINED_MAP, RunFolder, TRAJECTORY, of_submap, write};
 
 /// A part of a recording that nothing connects to the largest, in axes of its own.
 #[derive(Debug)]

@@ -576,7 +576,8 @@ impl Slam {
         }
         take_moved(&self.map, &mut self.graph, &mut self.tracker, &self.events);
         let memory = self.tracker.memory();
-        let Some(correction) = (self.loops).close(id, frame, &self.graph, &self.submaps, &memory) else {
+        let Some(correction) = (self.loops).close(id, frame, &self.graph, &self.submaps, &memory)
+        else {
             return Ok(());
         };
         for edge in correction.edges {

@@ -74,7 +74,10 @@ impl Submaps {
     pub fn is_consistent(&self, first: Option<KeyframeId>) -> bool {
         self.runs.is_sorted_by(|(a, _), (b, _)| a < b)
             && self.runs.first().map(|(id, _)| *id) == first
-            && self.runs.iter().all(|(_, submap)| *submap < self.origins.len())
+            && self
+                .runs
+                .iter()
+                .all(|(_, submap)| *submap < self.origins.len())
     }
 
     /// The sub-maps of some keyframes, those with the most first, of equal ones the older.

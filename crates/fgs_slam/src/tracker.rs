@@ -39,9 +39,9 @@ use crate::submaps::APART_M;
 use crate::surface::tracking_grid;
 use crate::verdict::Verdict;
 
-/// A camera is lost for good when it has not been found in so many frames in a row of which each shows what
-/// the one before it shows: it sees well, but nothing that is known.
-const MAX_FOLLOWED: usize = 15;
+/// A camera is lost for good when it has not been found in so many frames that show what the frame before each
+/// shows, less those that do not: it sees well, but nothing that is known.
+const MAX_FOLLOWED: usize = 12;
 
 /// Finds the poses of frames.
 pub struct Tracker {
@@ -77,7 +77,7 @@ enum Footing {
     /// It is trusted.
     #[default]
     Firm,
-    /// The camera is lost. So many frames in a row show what the one before each shows.
+    /// The camera is lost. So many frames showed what the one before each showed, less those that did not.
     Lost { followed: usize },
     /// One frame says where it is. If the next does not agree, what was before is taken up.
     Found {
@@ -321,8 +321,13 @@ impl Tracker {
         };
         let before = self.latest.as_ref()?;
         let can_be_followed = follows(frame, &before.frame);
-        *followed = if can_be_followed { *followed + 1 } else { 0 };
-        if *followed < MAX_FOLLOWED || admission != Admission::Allowed {
+        *followed = if can_be_followed {
+            *followed + 1
+        } else {
+            followed.saturating_sub(1)
+        };
+
+        if !can_be_followed || *followed < MAX_FOLLOWED || admission != Admission::Allowed {
             return None;
         }
         let height_m = self.relocalizer.highest_m()? + APART_M;

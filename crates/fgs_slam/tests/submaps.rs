@@ -17,7 +17,10 @@ use fgs_synth::{PoseError, Scenario, kinect_camera};
 const STARTS_WITHIN: usize = 20;
 
 fn rmse_m<'a>(errors: impl Iterator<Item = &'a Option<PoseError>>) -> f64 {
-    let squares: Vec<f64> = errors.flatten().map(|error| error.position_m.powi(2)).collect();
+    let squares: Vec<f64> = errors
+        .flatten()
+        .map(|error| error.position_m.powi(2))
+        .collect();
     (squares.iter().sum::<f64>() / squares.len() as f64).sqrt()
 }
 
@@ -80,7 +83,11 @@ fn no_frame_sees_another_submap() {
             continue;
         };
         let seen = picture_at(&run.map, camera, pose);
-        assert!(seen == picture_at(&maps[submap], camera, pose), "{:?}", result.index);
+        assert!(
+            seen == picture_at(&maps[submap], camera, pose),
+            "{:?}",
+            result.index
+        );
     }
 }
 
@@ -124,7 +131,11 @@ fn darkness_starts_no_submap() {
     }
 }
 
-fn follow(frames: &[RgbdFrame], threads: usize, saved_at: impl Fn(usize) -> bool + Sync) -> SlamOutput {
+fn follow(
+    frames: &[RgbdFrame],
+    threads: usize,
+    saved_at: impl Fn(usize) -> bool + Sync,
+) -> SlamOutput {
     let pool = rayon::ThreadPoolBuilder::new().num_threads(threads);
     pool.build().unwrap().install(|| {
         let (camera, lockstep) = (&frames[0].camera, Execution::Lockstep);

@@ -150,7 +150,8 @@ fn report(name: &str, scenario: &Scenario, results: &[FrameResult], console: Con
         worst_tracked_m: of(FrameStatus::Tracked)
             .filter_map(|(_, error)| Some(error.as_ref()?.position_m))
             .fold(0.0, f64::max),
-        submaps: (results.iter().filter_map(|result| result.submap).max()).map_or(0, |last| last + 1),
+        submaps: (results.iter().filter_map(|result| result.submap).max())
+            .map_or(0, |last| last + 1),
         wrong_keyframes: judged()
             .filter(|(result, error)| result.keyframe.is_some() && is_wrong(error))
             .count(),

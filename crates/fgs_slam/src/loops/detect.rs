@@ -92,11 +92,7 @@ pub fn way(motion: &Se3) -> f64 {
 }
 
 /// The keyframes of other sub-maps that look most like the newest.
-pub fn candidates_apart(
-    newest: KeyframeId,
-    submaps: &Submaps,
-    memory: &Memory,
-) -> Vec<KeyframeId> {
+pub fn candidates_apart(newest: KeyframeId, submaps: &Submaps, memory: &Memory) -> Vec<KeyframeId> {
     most_alike(memory, |id| submaps.are_apart(newest, id))
 }
 

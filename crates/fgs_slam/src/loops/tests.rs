@@ -117,7 +117,13 @@ impl Remembered {
         drift: &Se3,
     ) -> Option<Correction> {
         let keyframe = self.show(id, sequence, frame, drift);
-        closer.close(keyframe.id, &keyframe.frame, &self.graph, &self.submaps, &self.memory())
+        closer.close(
+            keyframe.id,
+            &keyframe.frame,
+            &self.graph,
+            &self.submaps,
+            &self.memory(),
+        )
     }
 }
 

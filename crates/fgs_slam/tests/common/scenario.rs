@@ -61,7 +61,8 @@ impl Run {
 
     /// The same of what is said at the end.
     pub fn errors_at_the_end(&self) -> Vec<Option<PoseError>> {
-        self.scenario.errors(&submaps_and_poses(&self.output.frames))
+        self.scenario
+            .errors(&submaps_and_poses(&self.output.frames))
     }
 
     /// No frame is called tracked that is not where it is said to be.
@@ -98,7 +99,10 @@ impl Run {
         for (i, pair) in self.results.windows(2).enumerate() {
             if pair[0].status == FrameStatus::Lost {
                 assert_eq!(pair[0].keyframe, None, "frame {i}");
-                assert!(sparse_points(&pair[1]) <= sparse_points(&pair[0]), "frame {i}");
+                assert!(
+                    sparse_points(&pair[1]) <= sparse_points(&pair[0]),
+                    "frame {i}"
+                );
                 let sizes = &self.num_gaussians;
                 assert!(sizes[i + 1] <= sizes[i], "frame {i}");
             }
