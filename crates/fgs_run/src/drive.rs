@@ -75,16 +75,17 @@ pub fn drive(
             frames.filter_map(|frame| Some((frame.timestamp_secs?, frame.world_from_camera?))),
         )
     };
-    let further = output.further.iter().zip(1..).map(|(map, number)| {
+    let metrics = metrics(plan, &rows, &output, model.name, stop);
+    let further = output.further.into_iter().zip(1..).map(|(map, number)| {
         Ok(FurtherSubmap {
             trajectory: trajectory(number)?,
-            gaussians: map.gaussians.clone(),
-            refined: map.refined.clone(),
+            gaussians: map.gaussians,
+            refined: map.refined,
         })
     });
     let further = further.collect::<Result<_, DataError>>()?;
     Ok(RunResult {
-        metrics: metrics(plan, &rows, &output, model.name, stop),
+        metrics,
         rows,
         trajectory: trajectory(0)?,
         further,

@@ -91,3 +91,60 @@ impl Submaps {
         order
     }
 }
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used)]
+mod tests {
+    use super::*;
+
+    fn id(number: u32) -> KeyframeId {
+        KeyframeId(number)
+    }
+
+    /// Keyframes 0 to 2 in the first, 3 and 4 in the second, 5 in the first again, 6 to 9 in the third.
+    fn three() -> Submaps {
+        let mut submaps = Submaps::default();
+        for (number, previous) in [None, Some(0), Some(1), None, Some(3), Some(1), None]
+            .into_iter()
+            .enumerate()
+        {
+            let number = number as u32;
+            let position = Vector3::repeat(f64::from(number));
+            submaps.add(id(number), previous.map(id), position);
+        }
+        for number in 7..10 {
+            submaps.add(id(number), Some(id(number - 1)), Vector3::zeros());
+        }
+        submaps
+    }
+
+    fn numbers(submaps: &Submaps) -> Vec<usize> {
+        (0..10)
+            .map(|number| submaps.of(id(number)).unwrap())
+            .collect()
+    }
+
+    #[test]
+    fn keyframes_are_in_the_submap_that_they_were_tracked_from() {
+        let submaps = three();
+        assert_eq!(numbers(&submaps), [0, 0, 0, 1, 1, 0, 2, 2, 2, 2]);
+        assert_eq!(submaps.origin(1), Vector3::repeat(3.0));
+        assert!(submaps.are_apart(id(2), id(3)) && !submaps.are_apart(id(2), id(5)));
+        assert_eq!(submaps.by_size((0..10).map(id)), [0, 2, 1]);
+        assert_eq!(submaps.by_size((3..10).map(id)), [2, 1, 0]);
+        assert!(submaps.is_consistent(Some(id(0))) && !submaps.is_consistent(Some(id(1))));
+    }
+
+    #[test]
+    fn the_newer_of_two_that_meet_becomes_the_older() {
+        let mut submaps = three();
+        submaps.join(id(8), id(4));
+        assert_eq!(numbers(&submaps), [0, 0, 0, 1, 1, 0, 1, 1, 1, 1]);
+        submaps.join(id(0), id(6));
+        assert_eq!(numbers(&submaps), [0; 10]);
+        assert_eq!(submaps.by_size((0..10).map(id)), [0]);
+        // The next has a number of its own.
+        submaps.add(id(10), None, Vector3::zeros());
+        assert_eq!(submaps.of(id(10)), Some(3));
+    }
+}

@@ -305,6 +305,7 @@ impl Tracker {
             self.stumble();
         }
         if let Some(attempt) = self.start_elsewhere(frame, admission) {
+            tracked.quality.take_over(&attempt.evidence);
             tracked.verdict = attempt.verdict;
             tracked.world_from_camera = Some(attempt.located.world_from_camera);
             self.stand_at(&attempt);
@@ -326,7 +327,6 @@ impl Tracker {
         } else {
             followed.saturating_sub(1)
         };
-
         if !can_be_followed || *followed < MAX_FOLLOWED || admission != Admission::Allowed {
             return None;
         }

@@ -246,4 +246,53 @@ mod tests {
         let other = revisit(3, 19, at(STEP_M * 16.0, 0.1));
         assert!(!agree(&right(0, 18), &other, &graph));
     }
+
+    /// Keyframes 0 to 9 of a straight way in the first sub-map, the next ten in the second, which lies far
+    /// above and turned, and two more in the first.
+    fn apart() -> (KeyframeGraph, Submaps) {
+        let mut graph = KeyframeGraph::new();
+        let mut submaps = Submaps::default();
+        let far = Se3::exp(&Vector6::new(0.0, 0.0, 0.3, 5.0, -100.0, 2.0));
+        for i in 0..22 {
+            let in_second = (10..20).contains(&i);
+            let place = if i < 20 { i } else { i - 10 };
+            let way = at(STEP_M * f64::from(place), 0.0);
+            let pose = if in_second { far * way } else { way };
+            let previous = match i {
+                0 | 10 => None,
+                20 => Some(9),
+                _ => Some(i - 1),
+            };
+            graph.add_keyframe(KeyframeId(i), pose);
+            submaps.add(KeyframeId(i), previous.map(KeyframeId), pose.translation);
+            if let Some(from) = previous.map(KeyframeId) {
+                let step = at(STEP_M, 0.0);
+                let edge = successive_edge(from, KeyframeId(i), step, &(Matrix6::identity() * 1e6));
+                graph.add_edge(edge.unwrap()).unwrap();
+            }
+        }
+        (graph, submaps)
+    }
+
+    #[test]
+    fn the_newer_submap_comes_to_the_older_whichever_the_camera_is_in() {
+        let (graph, submaps) = apart();
+        let met = |old: u32, new: u32, ahead: f64| revisit(old, new, at(STEP_M * ahead, 0.0));
+        // From the second back to the first, and from the first into the second.
+        for revisits in [
+            [met(8, 18, 10.0), met(9, 19, 10.0)],
+            [met(12, 20, -2.0), met(12, 21, -1.0)],
+        ] {
+            assert!(agree(&revisits[0], &revisits[1], &graph));
+            let [first, second] = &revisits;
+            let joined = correction(&graph, &submaps, [first, second]).unwrap();
+            let mut moved = graph.clone();
+            moved.move_keyframes(&joined.moves);
+            for (id, pose) in moved.poses() {
+                let place = if id.0 < 20 { id.0 } else { id.0 - 10 };
+                let error = pose.inverse() * at(STEP_M * f64::from(place), 0.0);
+                assert!(error.log().norm() <= 1e-6, "{id:?}: {error:?}");
+            }
+        }
+    }
 }

@@ -5,6 +5,7 @@ use std::collections::{BTreeMap, BinaryHeap};
 
 use fgs_geom::{KeyframeId, Se3};
 use fgs_graph::{KeyframeGraph, RobustKernel};
+use fgs_place::Similar;
 
 use super::Memory;
 use crate::submaps::Submaps;
@@ -91,19 +92,25 @@ pub fn way(motion: &Se3) -> f64 {
     motion.translation.norm() + METRES_PER_RADIAN * motion.rotation.angle()
 }
 
-/// The keyframes of other sub-maps that look most like the newest.
-pub fn candidates_apart(newest: KeyframeId, submaps: &Submaps, memory: &Memory) -> Vec<KeyframeId> {
-    most_alike(memory, |id| submaps.are_apart(newest, id))
+/// The keyframes of other sub-maps that look most like the newest, given how all do.
+pub fn candidates_apart(
+    newest: KeyframeId,
+    similar: &[Similar],
+    submaps: &Submaps,
+) -> Vec<KeyframeId> {
+    most_alike(similar, |id| submaps.are_apart(newest, id))
 }
 
-/// The old keyframes that look most like the newest, then those that should see most of the same.
+/// The old keyframes that look most like the newest, given how all do, then those that should see most of
+/// the same.
 pub fn candidates(
     newest: KeyframeId,
+    similar: &[Similar],
     ways: &Ways,
     graph: &KeyframeGraph,
     memory: &Memory,
 ) -> Vec<KeyframeId> {
-    let mut found = most_alike(memory, |id| ways.is_old(id));
+    let mut found = most_alike(similar, |id| ways.is_old(id));
     let Some(world_from_newest) = graph.pose(newest) else {
         return found;
     };
@@ -123,9 +130,8 @@ pub fn candidates(
     found
 }
 
-/// Of the keyframes that are wanted, those that look most like the newest.
-fn most_alike(memory: &Memory, is_wanted: impl Fn(KeyframeId) -> bool) -> Vec<KeyframeId> {
-    let similar = memory.places.similar_to_newest();
+/// Of the keyframes that are wanted, those that come first.
+fn most_alike(similar: &[Similar], is_wanted: impl Fn(KeyframeId) -> bool) -> Vec<KeyframeId> {
     similar
         .iter()
         .take_while(|similar| similar.similarity >= MIN_SIMILARITY)
