@@ -33,7 +33,6 @@ fn assert_starts_a_submap(run: &Run) {
         assert_eq!(result.submap, Some(1), "frame {index}");
     }
     let error_m = rmse_m(run.errors()[disturbed].iter());
-    println!("sub-map 1: {error_m} m");
     assert!(error_m <= 0.02, "{error_m} m");
 }
 
@@ -100,7 +99,6 @@ fn submaps_that_meet_are_joined() {
     let output = &run.output;
     assert!(output.further.is_empty() && output.loops >= 1);
     let error_m = rmse_m(run.errors_at_the_end().iter());
-    println!("joined: {error_m} m");
     assert!(error_m <= 0.02, "{error_m} m");
     for error in run.errors_at_the_end().iter().flatten() {
         assert!(!error.is_wrong(), "{error:?}");
