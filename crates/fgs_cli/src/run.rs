@@ -60,7 +60,10 @@ Results: metrics.json, trajectory.txt (TUM: timestamp tx ty tz qx qy qz qw; with
 frames.csv, map.ply, config.effective.toml, pictures/, report.html (a page for people) and, where the
 recording has ground truth, reference.txt (the same in the run's coordinates). Results already in --out
 are replaced when the run has ended. map.ply is the map at the last frame; --refine leaves it as it is
-and adds refined.ply, with scores of its own (`refined` in metrics.json).
+and adds refined.ply, with scores of its own (`refined` in metrics.json). A camera that is lost for long
+where nothing is known starts a sub-map, with axes of its own, which is joined to the others if they
+meet. All of the above is about the largest; what is left of others goes into trajectory_1.txt,
+map_1.ply and so on, and frames.csv says which each frame is in (submap).
 
 Maps: --checkpoint-every leaves a folder NAME.map beside the results' NAME, which holds all that a later run needs.
 --resume goes on with the same recording, in lockstep with the same results as if nothing had happened.

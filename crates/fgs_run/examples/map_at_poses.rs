@@ -66,6 +66,7 @@ fn map(dataset: &Dataset, poses: &Trajectory) -> Result<Gaussians> {
             kind: KeyframeKind::Mapping,
             frame: Arc::new(frame),
             world_from_camera,
+            previous: None,
             information: None,
             new_points: Vec::new(),
         };

@@ -22,7 +22,7 @@ use crate::metrics::{Metrics, RefinedMetrics};
 use crate::observer::{RunEvent, RunObserver};
 use crate::peak_memory::peak_rss_bytes;
 use crate::plan::{KnownMap, Plan};
-use crate::run_result::RunResult;
+use crate::run_result::{FurtherSubmap, RunResult};
 use crate::score_values::{Scores, mean};
 use crate::settings::COMMIT;
 
@@ -57,14 +57,27 @@ pub fn drive(
     if !rows.is_empty() && rows.iter().all(damaged) {
         return Err(RunError::NothingRead { frames: rows.len() });
     }
-    let poses = output.frames.iter();
-    let trajectory = Trajectory::new(
-        poses.filter_map(|frame| Some((frame.timestamp_secs?, frame.world_from_camera?))),
-    )?;
+    let trajectory = |submap: usize| {
+        let frames = output.frames.iter();
+        let frames = frames.filter(|frame| frame.submap == Some(submap));
+        Trajectory::new(
+            frames.filter_map(|frame| Some((frame.timestamp_secs?, frame.world_from_camera?))),
+        )
+    };
+    let metrics = metrics(plan, &rows, &output, model.name, stop);
+    let further = output.further.into_iter().zip(1..).map(|(map, number)| {
+        Ok(FurtherSubmap {
+            trajectory: trajectory(number)?,
+            gaussians: map.gaussians,
+            refined: map.refined,
+        })
+    });
+    let further = further.collect::<Result<_, DataError>>()?;
     Ok(RunResult {
-        metrics: metrics(plan, &rows, &output, model.name, stop),
+        metrics,
         rows,
-        trajectory,
+        trajectory: trajectory(0)?,
+        further,
         gaussians: output.gaussians,
         refined: output.refined.map(|refined| refined.gaussians),
         checkpoint_failure: saved.err(),
@@ -204,6 +217,7 @@ fn row_of(frame: &FrameResult) -> FrameRow {
     let agreement = tracking.and_then(|tracking| tracking.agreement.as_ref());
     FrameRow {
         timestamp_secs: frame.timestamp_secs,
+        submap: frame.submap,
         keyframe: frame.keyframe.map(|(_, kind)| kind),
         points: tracking.map(|tracking| tracking.points),
         sparse_points: tracking.map(|tracking| tracking.sparse_points),
@@ -239,6 +253,8 @@ fn metrics(
         frames_lost: count(FrameStatus::Lost),
         frames_weak: count(FrameStatus::Weak),
         frames_damaged: count(FrameStatus::Damaged),
+        frames_elsewhere: rows.iter().filter(|row| row.submap > Some(0)).count(),
+        further_submaps: output.further.len(),
         interrupted: stop.load(Ordering::Relaxed),
         failure: output.failure.as_ref().map(ToString::to_string),
         scores: Scores::default(),

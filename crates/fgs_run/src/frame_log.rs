@@ -26,6 +26,8 @@ pub struct FrameRow {
     pub timestamp_secs: Option<f64>,
     /// What became of it.
     pub status: FrameStatus,
+    /// The sub-map that its pose is in, from 0, the largest; while the run goes on as they began.
+    pub submap: Option<usize>,
     /// The kind of keyframe it became, if any.
     pub keyframe: Option<KeyframeKind>,
     /// Points sampled from its depth that lie on a surface and were registered.
@@ -52,10 +54,11 @@ pub struct FrameRow {
 }
 
 /// The columns before the scores, named as the fields of [`FrameRow`] and in their order.
-const COLUMNS: [&str; 13] = [
+const COLUMNS: [&str; 14] = [
     "index",
     "timestamp_secs",
     "status",
+    "submap",
     "keyframe",
     "points",
     "sparse_points",
@@ -75,6 +78,7 @@ impl FrameRow {
             index,
             timestamp_secs: None,
             status,
+            submap: None,
             keyframe: None,
             points: None,
             sparse_points: None,
@@ -182,6 +186,7 @@ mod tests {
     fn what_is_written_is_read() {
         let mut tracked = FrameRow::new(3, FrameStatus::Tracked);
         tracked.timestamp_secs = Some(0.1);
+        tracked.submap = Some(1);
         tracked.keyframe = Some(KeyframeKind::Mapping);
         tracked.points = Some(1);
         tracked.sparse_points = Some(2);
@@ -226,7 +231,7 @@ mod tests {
         write(&[], &mut text).unwrap();
         assert_eq!(
             String::from_utf8(text).unwrap(),
-            "index,timestamp_secs,status,keyframe,points,sparse_points,inliers,residual_m,\
+            "index,timestamp_secs,status,submap,keyframe,points,sparse_points,inliers,residual_m,\
              conditioning,likeness,seen_through,moving_share,tracking_ms,psnr_valid_depth_db,psnr_db,psnr_paper_db,\
              psnr_exposure_valid_depth_db,psnr_exposure_db,ssim,depth_l1_m\n"
         );

@@ -29,6 +29,13 @@ pub struct Metrics {
     pub frames_weak: usize,
     /// Of those: could not be read.
     pub frames_damaged: usize,
+    /// Of those: have a pose in another sub-map than the largest. No score covers them. Left out if there are
+    /// none.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub frames_elsewhere: usize,
+    /// Sub-maps beside the largest; left out if there are none.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub further_submaps: usize,
     /// Whether the run was stopped early.
     pub interrupted: bool,
     /// Why mapping failed, which ended the run early.
@@ -98,6 +105,12 @@ pub struct RefinedMetrics {
     pub map_bytes: u64,
 }
 
+/// Whether there is nothing to tell.
+#[allow(clippy::trivially_copy_pass_by_ref)]
+fn is_zero(count: &usize) -> bool {
+    *count == 0
+}
+
 impl Metrics {
     /// Reads a run's metrics.
     ///
@@ -144,6 +157,13 @@ impl Metrics {
                 self.loops
             ),
         );
+        if self.further_submaps > 0 {
+            let text = format!(
+                "{} more, with {} frames, which no score covers",
+                self.further_submaps, self.frames_elsewhere
+            );
+            line("sub-maps", text);
+        }
         for (name, text) in self.scores.shown() {
             line(name, text);
         }

@@ -40,6 +40,12 @@ const RESULTS: [&str; 8] = [
     REPORT,
 ];
 
+/// The name of a result that a sub-map has beside the largest one's: `map.ply` becomes `map_1.ply`.
+pub(crate) fn of_submap(name: &str, number: usize) -> String {
+    let (stem, ending) = name.rsplit_once('.').unwrap_or((name, ""));
+    format!("{stem}_{number}.{ending}")
+}
+
 /// The folder of a finished run.
 #[derive(Clone, Debug)]
 pub struct RunFolder {
@@ -64,7 +70,10 @@ impl RunFolder {
             let result = self.join(name).canonicalize();
             result.is_ok_and(|result| path.canonicalize().is_ok_and(|path| path == result))
         };
-        RESULTS.into_iter().any(same)
+        let of_others = |number| [TRAJECTORY, MAP, REFINED_MAP].map(|name| of_submap(name, number));
+        let others = (1..).map(of_others);
+        let mut others = others.take_while(|[poses, ..]| self.join(poses).is_file());
+        RESULTS.into_iter().any(same) || others.any(|names| names.iter().any(|name| same(name)))
     }
 
     /// Where it is.

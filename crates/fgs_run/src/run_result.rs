@@ -8,15 +8,28 @@ use fgs_splat::Gaussians;
 use crate::error::RunError;
 use crate::frame_log::{self, FrameRow};
 use crate::metrics::Metrics;
-use crate::run_folder::{FRAMES, MAP, REFINED_MAP, RunFolder, TRAJECTORY, write};
+use crate::run_folder::{FRAMES, MAP, REFINED_MAP, RunFolder, TRAJECTORY, of_submap, write};
 
-/// A run's results.
+/// A part of a recording that nothing connects to the largest, in axes of its own.
+#[derive(Debug)]
+pub struct FurtherSubmap {
+    /// The poses of its tracked frames, `submap_from_camera`.
+    pub trajectory: Trajectory,
+    /// Its map when the recording had ended.
+    pub gaussians: Gaussians,
+    /// Its map after refinement, if there was any.
+    pub refined: Option<Gaussians>,
+}
+
+/// A run's results. What is not said to be of all sub-maps is of the largest.
 #[derive(Debug)]
 pub struct RunResult {
     /// One row for each frame, of successive frames.
     pub rows: Vec<FrameRow>,
-    /// The poses of the tracked frames, `world_from_camera`.
+    /// The poses of the tracked frames in the largest sub-map, `world_from_camera`.
     pub trajectory: Trajectory,
+    /// The other sub-maps, from number 1 on; none if the run was read from its folder.
+    pub further: Vec<FurtherSubmap>,
     /// The map when the recording had ended.
     pub gaussians: Gaussians,
     /// The map after refinement, if there was any.
@@ -38,6 +51,7 @@ impl RunResult {
         Ok(Self {
             rows: Self::read_rows(folder)?,
             trajectory: Trajectory::read(&folder.join(TRAJECTORY))?,
+            further: Vec::new(),
             gaussians: read_map(MAP)?,
             refined: match metrics.refined {
                 Some(_) => Some(read_map(REFINED_MAP)?),
@@ -56,7 +70,7 @@ impl RunResult {
         frame_log::read(&folder.join(FRAMES))
     }
 
-    /// A frame's pose `world_from_camera`, if it has one.
+    /// A frame's pose `world_from_camera`, if it has one in the largest sub-map.
     pub fn pose(&self, row: &FrameRow) -> Option<Se3> {
         self.trajectory.at(row.timestamp_secs?)
     }
@@ -64,6 +78,21 @@ impl RunResult {
     /// Saves the poses.
     pub(crate) fn save_trajectory(&self, results: &StagedFolder<'_>) -> Result<(), RunError> {
         write(results, TRAJECTORY, |file| self.trajectory.encode(file)).map(drop)
+    }
+
+    /// Saves the sub-maps beside the largest.
+    pub(crate) fn save_further(&self, results: &StagedFolder<'_>) -> Result<(), RunError> {
+        for (submap, number) in self.further.iter().zip(1..) {
+            let name = |name: &str| of_submap(name, number);
+            write(results, &name(TRAJECTORY), |file| {
+                submap.trajectory.encode(file)
+            })?;
+            write_map(&submap.gaussians, results, &name(MAP))?;
+            if let Some(refined) = &submap.refined {
+                write_map(refined, results, &name(REFINED_MAP))?;
+            }
+        }
+        Ok(())
     }
 
     /// Saves the map and notes the size of its file.

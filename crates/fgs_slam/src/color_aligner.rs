@@ -38,8 +38,8 @@ const MIN_OVERLAP: f64 = 0.6;
 pub struct ColorAligner {
     /// In the order they came.
     keyframes: VecDeque<ReferenceKeyframe>,
-    /// The points by which a frame is compared with a keyframe, however old.
-    compared: BTreeMap<KeyframeId, Vec<ReferencePoint>>,
+    /// The points by which a frame is compared with a keyframe, however old, and their level.
+    compared: BTreeMap<KeyframeId, (usize, Vec<ReferencePoint>)>,
 }
 
 struct ReferenceKeyframe {
@@ -85,12 +85,7 @@ impl ColorAligner {
         world_from_camera: &Se3,
     ) -> Option<Agreement> {
         let newest = self.keyframes.back()?;
-        // Small images have too few points at a quarter of their size.
-        let has_enough = |level: &usize| {
-            let points = newest.reference.levels.get(*level);
-            points.is_some_and(|points| points.len() >= MIN_REFERENCE_POINTS)
-        };
-        let level = (0..=AGREEMENT_LEVEL).rev().find(has_enough).unwrap_or(0);
+        let level = agreement_level(&newest.reference);
         let image = pyramid.levels.get(level)?;
         let contrast = contrast(pyramid.levels.last()?);
         let with = |keyframe: &ReferenceKeyframe| {
@@ -120,12 +115,12 @@ impl ColorAligner {
         depth_m: &Image<f32>,
         camera_from_keyframe: &Se3,
     ) -> Option<Agreement> {
-        let image = &pyramid.levels[AGREEMENT_LEVEL.min(pyramid.levels.len() - 1)];
+        let (level, points) = self.compared.get(&keyframe)?;
         Some(agreement(
-            image,
+            pyramid.levels.get(*level)?,
             depth_m,
             contrast(pyramid.levels.last()?),
-            self.compared.get(&keyframe)?,
+            points,
             camera_from_keyframe,
         ))
     }
@@ -156,8 +151,10 @@ impl ColorAligner {
     pub fn add(&mut self, keyframe: &Keyframe, pyramid: &IntensityPyramid) {
         let frame = &keyframe.frame;
         let reference = Reference::new(pyramid, &frame.depth_m, &frame.camera);
-        let level = AGREEMENT_LEVEL.min(reference.levels.len() - 1);
-        (self.compared).insert(keyframe.id, reference.levels[level].clone());
+        let level = agreement_level(&reference);
+        if let Some(points) = reference.levels.get(level) {
+            (self.compared).insert(keyframe.id, (level, points.clone()));
+        }
         self.keyframes.push_back(ReferenceKeyframe {
             id: keyframe.id,
             world_from_camera: keyframe.world_from_camera,
@@ -179,6 +176,16 @@ impl ColorAligner {
             move_pose(&mut keyframe.world_from_camera, keyframe.id, moves);
         }
     }
+}
+
+/// The level at which frames are compared with a keyframe: small images have too few points at a quarter of their
+/// size.
+fn agreement_level(reference: &Reference) -> usize {
+    let has_enough = |level: &usize| {
+        let points = reference.levels.get(*level);
+        points.is_some_and(|points| points.len() >= MIN_REFERENCE_POINTS)
+    };
+    (0..=AGREEMENT_LEVEL).rev().find(has_enough).unwrap_or(0)
 }
 
 impl ReferenceKeyframe {

@@ -51,6 +51,8 @@ pub struct FrameResult {
     pub status: FrameStatus,
     /// Its pose if it was tracked, or is weak.
     pub world_from_camera: Option<Se3>,
+    /// The sub-map that this pose is in. While the session goes on, sub-maps are numbered as they began.
+    pub submap: Option<usize>,
     /// The keyframe that it became, if any.
     pub keyframe: Option<(KeyframeId, KeyframeKind)>,
     /// How it was tracked; `None` if it was not even tried.
@@ -98,6 +100,7 @@ impl FrameResult {
             timestamp_secs: None,
             status,
             world_from_camera: None,
+            submap: None,
             keyframe: None,
             tracking: None,
         }

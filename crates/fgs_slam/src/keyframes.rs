@@ -44,6 +44,8 @@ pub struct Keyframe {
     pub frame: Arc<RgbdFrame>,
     /// Where it was taken.
     pub world_from_camera: Se3,
+    /// The keyframe that it was tracked from, in whose sub-map it is; `None` if it starts one.
+    pub previous: Option<KeyframeId>,
     /// How sure that is: inverse covariance of the pose, tangent `[omega, v]` in the camera's axes
     /// (rad, metres), [6, 6]. `None` where nothing was registered, as for the first keyframe.
     pub information: Option<Matrix6<f64>>,

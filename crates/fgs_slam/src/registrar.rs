@@ -5,7 +5,7 @@ use std::borrow::Cow;
 use std::sync::Arc;
 
 use fgs_direct::{IntensityPyramid, PosePrior};
-use fgs_geom::{RgbdFrame, Se3};
+use fgs_geom::{KeyframeId, RgbdFrame, Se3};
 use fgs_gicp::{Alignment, Point, Settings, SurfacePoint, align};
 use nalgebra::{Matrix6, Vector6};
 use rayon::prelude::*;
@@ -105,8 +105,8 @@ pub struct Attempt {
     pub verdict: Verdict,
     /// Whether it is worth looking for a better pose.
     pub is_doubtful: bool,
-    /// Whether it started from the look of a place alone.
-    pub is_relocalized: bool,
+    /// The keyframe by whose look it was found, if nothing else led there.
+    pub relocalized_by: Option<KeyframeId>,
 }
 
 /// Where a frame was taken.
@@ -307,7 +307,7 @@ impl Registrar {
         Attempt {
             verdict: evidence.verdict(&self.config),
             is_doubtful: evidence.is_doubtful(&self.config),
-            is_relocalized: false,
+            relocalized_by: None,
             located,
             frame,
             pyramid,

@@ -40,6 +40,8 @@ struct LastFrame {
 
 /// Where a frame may have been taken.
 pub struct Guess {
+    /// The keyframe whose corners say so; `None` if they are those of the last trusted frame.
+    pub keyframe: Option<KeyframeId>,
     /// The colour camera's pose.
     pub world_from_camera: Se3,
     /// How sure it is, tangent `[omega, v]` in the camera's axes.
@@ -106,21 +108,28 @@ impl Relocalizer {
         });
     }
 
-    /// Where a frame was taken, judged by the last trusted frame and the newest keyframe, the more
-    /// probable first.
-    pub fn guesses_nearby(&self, frame: &Features) -> Vec<Guess> {
+    /// Where a frame was taken, judged by the last trusted frame and the keyframe that the camera was
+    /// tracked from, the more probable first.
+    pub fn guesses_nearby(&self, frame: &Features, home: Option<KeyframeId>) -> Vec<Guess> {
         let last = self.last.iter().filter_map(|last| {
             let features = last.features.get_or_init(|| Features::detect(&last.frame));
             Guess::new(frame, features, &last.world_from_camera)
         });
-        let newest = self.keyframes.last();
-        sorted(last.chain(newest.and_then(|keyframe| keyframe.guess(frame))))
+        let home = home.and_then(|home| self.known(home));
+        sorted(last.chain(home.and_then(|keyframe| keyframe.guess(frame))))
     }
 
     /// Where a frame was taken, judged by the keyframes that look most like it.
     pub fn guesses_anywhere(&self, frame: &RgbdFrame, features: &Features) -> Vec<Guess> {
         let similar = (self.places).most_similar(&PlaceDescriptor::new(frame), CANDIDATES);
         sorted((similar.iter()).filter_map(|similar| self.known(similar.id)?.guess(features)))
+    }
+
+    /// How far up what is remembered reaches, metres along -y; `None` if that is nothing.
+    pub fn highest_m(&self) -> Option<f64> {
+        let heights = self.keyframes.iter();
+        let heights = heights.map(|keyframe| -keyframe.world_from_camera.translation.y);
+        heights.max_by(f64::total_cmp)
     }
 
     /// All that are remembered, the one most like the newest first.
@@ -159,7 +168,11 @@ impl Relocalizer {
 
 impl KnownPlace {
     fn guess(&self, frame: &Features) -> Option<Guess> {
-        Guess::new(frame, &self.features, &self.world_from_camera)
+        let guess = Guess::new(frame, &self.features, &self.world_from_camera)?;
+        Some(Guess {
+            keyframe: Some(self.id),
+            ..guess
+        })
     }
 }
 
@@ -169,11 +182,18 @@ impl Guess {
         let matches = match_features(other, frame);
         let relative = relative_pose(other, frame, &matches, SEED)?;
         Some(Self {
+            keyframe: None,
             world_from_camera: *world_from_other * relative.a_from_b,
             information: relative.information,
             inliers: relative.inliers,
         })
     }
+}
+
+/// Whether a frame shows what the one before it shows, from nearby.
+pub fn follows(frame: &RgbdFrame, before: &RgbdFrame) -> bool {
+    let (frame, before) = (Features::detect(frame), Features::detect(before));
+    Guess::new(&frame, &before, &Se3::identity()).is_some()
 }
 
 /// By falling number of inliers.
@@ -204,6 +224,7 @@ mod tests {
                 kind: KeyframeKind::Mapping,
                 frame: Arc::new(rooms[room].frame(index)),
                 world_from_camera: Se3::identity(),
+                previous: None,
                 information: None,
                 new_points: Vec::new(),
             });

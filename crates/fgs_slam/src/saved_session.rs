@@ -11,6 +11,7 @@ use crate::frame_result::FrameResult;
 use crate::holdout::Holdout;
 use crate::keyframes::KeyframeKind;
 use crate::loops::LoopCloser;
+use crate::submaps::Submaps;
 use crate::system::{MapReport, SavedMapping};
 use crate::tracker::SavedTracker;
 
@@ -23,6 +24,7 @@ pub struct SavedSession {
     pub(crate) mapping: SavedMapping,
     pub(crate) report: MapReport,
     pub(crate) graph: KeyframeGraph,
+    pub(crate) submaps: Submaps,
     pub(crate) loops: LoopCloser,
     pub(crate) closed_loops: usize,
     pub(crate) keyframes: Vec<(KeyframeId, KeyframeKind, FrameIndex)>,
@@ -50,6 +52,7 @@ impl SavedSession {
             mapping: SavedMapping::new(seed),
             report: MapReport::default(),
             graph: KeyframeGraph::new(),
+            submaps: Submaps::default(),
             loops: LoopCloser::default(),
             closed_loops: 0,
             keyframes: Vec::new(),
@@ -114,6 +117,8 @@ impl SavedSession {
     pub(crate) fn is_consistent(&self) -> bool {
         self.keyframes.is_sorted_by(|(a, ..), (b, ..)| a < b)
             && self.keyframes().eq(self.graph.poses().map(|(id, _)| id))
+            && self.submaps.is_consistent(self.keyframes().next())
+            && self.tracker.homes().all(|id| self.graph.pose(id).is_some())
             && self.tracker.is_of(&self.camera)
             && self.mapping.is_of(&self.camera)
             && self.mapping.views().is_sorted_by(|a, b| a < b)

@@ -20,6 +20,8 @@ use crate::loops::{LoopCloser, successive_edge};
 use crate::mapper::MapperError;
 use crate::refinement::RefinedMap;
 use crate::saved_session::{RecordedFrame, SavedSession};
+use crate::separation::Separation;
+use crate::submaps::Submaps;
 use crate::system::{self, Execution, MapStatus, MapperGone, Mapping, Moves};
 use crate::tracker::Tracker;
 use crate::verdict::Verdict;
@@ -38,6 +40,7 @@ pub struct Slam {
     events: EventHub,
     /// The one owner of keyframe poses.
     graph: KeyframeGraph,
+    submaps: Submaps,
     closes_loops: bool,
     loops: LoopCloser,
     closed_loops: usize,
@@ -54,7 +57,8 @@ pub struct Slam {
     elapsed: Duration,
 }
 
-/// What a session found.
+/// What a session found. What it could not connect lies in sub-maps: number 0 is that with the most keyframes,
+/// the others follow by size. Each has axes of its own, those of its first camera.
 #[derive(Debug)]
 #[non_exhaustive]
 pub struct SlamOutput {
@@ -62,20 +66,31 @@ pub struct SlamOutput {
     pub frames: Vec<FrameResult>,
     /// The keyframes, in order.
     pub keyframes: Vec<KeyframeRecord>,
-    /// The keyframes' poses and how they hang together.
+    /// The keyframes' poses, each in its sub-map, and how they hang together.
     pub graph: KeyframeGraph,
-    /// How often a loop was closed.
+    /// How often a loop was closed, or sub-maps were joined.
     pub loops: usize,
-    /// The map when the recording had ended.
+    /// The map of sub-map 0 when the recording had ended.
     pub gaussians: Gaussians,
-    /// The map after refinement; `None` if none was asked for or not a single step was taken.
+    /// The same after refinement; `None` if none was asked for or not a single step was taken.
     pub refined: Option<RefinedMap>,
+    /// The maps of the further sub-maps, from number 1 on.
+    pub further: Vec<FurtherMap>,
     /// Bytes that the map took on a graphics device at the end.
     pub device_bytes: u64,
     /// Where the time went.
     pub timings: Timings,
     /// Why the mapper could not go on, which ended the session early.
     pub failure: Option<MapperError>,
+}
+
+/// The map of a sub-map that is not the largest, in its own axes.
+#[derive(Clone, Debug, PartialEq)]
+pub struct FurtherMap {
+    /// When the recording had ended.
+    pub gaussians: Gaussians,
+    /// After refinement, if there was any.
+    pub refined: Option<Gaussians>,
 }
 
 /// A keyframe's place in the recording.
@@ -87,6 +102,8 @@ pub struct KeyframeRecord {
     pub index: FrameIndex,
     /// What it is for.
     pub kind: KeyframeKind,
+    /// The sub-map that it is in.
+    pub submap: usize,
     /// Its pose after all corrections.
     pub world_from_camera: Se3,
 }
@@ -210,6 +227,7 @@ impl Slam {
                 kind: *kind,
                 frame,
                 world_from_camera: *pose,
+                previous: None,
                 information: None,
                 new_points: Vec::new(),
             });
@@ -236,6 +254,7 @@ impl Slam {
             map,
             events,
             graph: saved.graph,
+            submaps: saved.submaps,
             closes_loops: config.loops.enabled,
             loops: saved.loops,
             closed_loops: saved.closed_loops,
@@ -276,6 +295,7 @@ impl Slam {
             mapping,
             report: self.map.save(),
             graph: self.graph.clone(),
+            submaps: self.submaps.clone(),
             loops: self.loops.clone(),
             closed_loops: self.closed_loops,
             keyframes: self.keyframes.clone(),
@@ -342,6 +362,7 @@ impl Slam {
                 Verdict::Lost => FrameStatus::Lost,
             },
             world_from_camera: tracked.world_from_camera,
+            submap: self.submap_of(tracked.world_from_camera.as_ref()),
             keyframe: keyframe.as_ref().map(|(id, kind, _)| (*id, *kind)),
             tracking: Some(tracked.quality),
         };
@@ -438,7 +459,28 @@ impl Slam {
         take_moved(&self.map, &mut self.graph, &mut self.tracker, &self.events);
         take_aligned(&self.map, &mut self.frames);
         self.events.close();
-        let graph = self.graph;
+        let separation = Separation::new(&self.submaps, &self.graph);
+        let maps = separation.maps(mapped.gaussians, &self.graph);
+        let (refined_maps, refined) = match mapped.refined {
+            Some(refined) => {
+                let maps = separation.maps(refined.gaussians, &self.graph);
+                (maps, Some((refined.steps, refined.duration)))
+            }
+            None => (Vec::new(), None),
+        };
+        let (mut maps, mut refined_maps) = (maps.into_iter(), refined_maps.into_iter());
+        let gaussians = maps.next().unwrap_or_default();
+        let refined = refined.map(|(steps, duration)| RefinedMap {
+            gaussians: refined_maps.next().unwrap_or_default(),
+            steps,
+            duration,
+        });
+        let further = maps.map(|gaussians| FurtherMap {
+            gaussians,
+            refined: refined_maps.next(),
+        });
+        let further = further.collect();
+        let graph = separation.graph(self.graph);
         let pose = |id| graph.pose(id).copied().unwrap_or_else(Se3::identity);
         SlamOutput {
             frames: self
@@ -448,6 +490,7 @@ impl Slam {
                     world_from_camera: frame.pose.map(|(keyframe, keyframe_from_camera)| {
                         pose(keyframe) * keyframe_from_camera
                     }),
+                    submap: (frame.pose).and_then(|(keyframe, _)| separation.number_of(keyframe)),
                     ..frame.result
                 })
                 .collect(),
@@ -458,12 +501,14 @@ impl Slam {
                     id,
                     index,
                     kind,
+                    submap: separation.number_of(id).unwrap_or_default(),
                     world_from_camera: pose(id),
                 })
                 .collect(),
             loops: self.closed_loops,
-            gaussians: mapped.gaussians,
-            refined: mapped.refined,
+            gaussians,
+            refined,
+            further,
             device_bytes: mapped.device_bytes,
             timings: Timings {
                 total: elapsed.saturating_sub(refining.unwrap_or_default()),
@@ -497,19 +542,25 @@ impl Slam {
         }
     }
 
-    /// Puts a keyframe into the graph, with an edge from the one before it. Its pose comes from the
-    /// map around both, so the edge is as sure as the registration.
+    /// The sub-map of a frame that has a pose.
+    fn submap_of(&self, pose: Option<&Se3>) -> Option<usize> {
+        pose.and_then(|_| self.submaps.of(self.tracker.home()?))
+    }
+
+    /// Puts a keyframe into the graph, with an edge from the one that it was tracked from. Its pose comes
+    /// from the map around both, so the edge is as sure as the registration.
     fn add_keyframe(&mut self, keyframe: &Keyframe) {
         let pose = keyframe.world_from_camera;
         self.graph.add_keyframe(keyframe.id, pose);
+        (self.submaps).add(keyframe.id, keyframe.previous, pose.translation);
         if let Some(information) = keyframe.information
-            && let Some((previous, ..)) = self.keyframes.last()
-            && let Some(world_from_previous) = self.graph.pose(*previous)
+            && let Some(previous) = keyframe.previous
+            && let Some(world_from_previous) = self.graph.pose(previous)
         {
             let motion = world_from_previous.inverse() * pose;
             // An information that is not positive definite makes no edge: the keyframe then starts
             // a part of its own.
-            let edge = successive_edge(*previous, keyframe.id, motion, &information);
+            let edge = successive_edge(previous, keyframe.id, motion, &information);
             let _ = edge.map(|edge| self.graph.add_edge(edge));
         }
         self.keyframes
@@ -526,12 +577,14 @@ impl Slam {
         }
         take_moved(&self.map, &mut self.graph, &mut self.tracker, &self.events);
         let memory = self.tracker.memory();
-        let Some(correction) = self.loops.close(id, frame, &self.graph, &memory) else {
+        let Some(correction) = (self.loops).close(id, frame, &self.graph, &self.submaps, &memory)
+        else {
             return Ok(());
         };
         for edge in correction.edges {
             let (from, to) = (edge.from, edge.to);
             if self.graph.add_edge(edge).is_ok() {
+                self.submaps.join(from, to);
                 self.events.publish(|| SlamEvent::Loop { from, to });
             }
         }
@@ -552,9 +605,9 @@ impl Slam {
     }
 
     fn record(&mut self, result: FrameResult, error: Option<String>) {
-        let newest = self.tracker.newest_keyframe();
+        let home = self.tracker.home();
         let pose = result.world_from_camera.and_then(|world_from_camera| {
-            let keyframe = newest?;
+            let keyframe = home?;
             let world_from_keyframe = self.graph.pose(keyframe)?;
             Some((keyframe, world_from_keyframe.inverse() * world_from_camera))
         });

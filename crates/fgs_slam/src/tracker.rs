@@ -3,7 +3,8 @@
 //!
 //! A frame is registered from where the motion model expects it. If what is found there is doubtful,
 //! other starts are tried (relocalizer.rs), and the best pose is judged (verdict.rs). Where a lost camera
-//! is found by the look of a place, a second frame has to agree.
+//! is found by the look of a place, a second frame has to agree. One that is not found for a while starts a
+//! sub-map (submaps.rs).
 //!
 //! What moves is left out (moving.rs), and the frame registered again without it.
 //!
@@ -18,6 +19,7 @@ use fgs_features::Features;
 use fgs_geom::{Camera, KeyframeId, RgbdFrame, Se3};
 use fgs_gicp::{DepthGrid, Point, SurfacePoint};
 use fgs_splat::SparseId;
+use nalgebra::{UnitQuaternion, Vector3};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
@@ -30,11 +32,16 @@ use crate::map_alignment::FrameToAlign;
 use crate::motion::MotionModel;
 use crate::moving::{Moving, MovingThings};
 use crate::registrar::{Attempt, Known, Located, Measured, Registrar, Start, shared};
-use crate::relocalizer::{Guess, Relocalizer};
+use crate::relocalizer::{Guess, Relocalizer, follows};
 use crate::repeats::{Clock, LatestFrame, Repeat};
 use crate::sparse_map::{SavedSparseMap, SparseMap};
+use crate::submaps::APART_M;
 use crate::surface::tracking_grid;
 use crate::verdict::Verdict;
+
+/// A camera is lost for good when it has not been found in so many frames that show what the frame before each
+/// shows, less those that do not: it sees well, but nothing that is known.
+const MAX_FOLLOWED: usize = 12;
 
 /// Finds the poses of frames.
 pub struct Tracker {
@@ -51,8 +58,28 @@ pub struct Tracker {
     latest: Option<LatestFrame>,
     clock: Clock,
     newest_keyframe: Option<KeyframeId>,
-    /// The last trusted frame that was not held out, unless it became a keyframe.
-    unmapped: Option<(Arc<RgbdFrame>, Located)>,
+    /// The keyframe that the camera is tracked from: its pose moves with that one's.
+    home: Option<KeyframeId>,
+    unmapped: Option<Unmapped>,
+}
+
+/// The last trusted frame that was not held out, unless it became a keyframe.
+#[derive(Clone, Serialize, Deserialize)]
+struct Unmapped<F = Arc<RgbdFrame>> {
+    frame: F,
+    located: Located,
+    home: Option<KeyframeId>,
+}
+
+impl<F> Unmapped<F> {
+    /// The same with its frame, or a name for it, in another form.
+    fn with_frame<G>(&self, frame: G) -> Unmapped<G> {
+        Unmapped {
+            frame,
+            located: self.located,
+            home: self.home,
+        }
+    }
 }
 
 /// What the camera's last pose is worth.
@@ -61,10 +88,13 @@ enum Footing {
     /// It is trusted.
     #[default]
     Firm,
-    /// The camera is lost.
-    Lost,
-    /// One frame says where it is. If the next does not agree, the motion before is taken up.
-    Found { before: MotionModel },
+    /// The camera is lost. So many frames showed what the one before each showed, less those that did not.
+    Lost { followed: usize },
+    /// One frame says where it is. If the next does not agree, what was before is taken up.
+    Found {
+        motion_before: MotionModel,
+        home_before: Option<KeyframeId>,
+    },
 }
 
 /// What a tracker remembers, as plain data, apart from its keyframes.
@@ -79,7 +109,8 @@ pub struct SavedTracker {
     frames: SavedFrames,
     latest: Option<LatestFrame<usize>>,
     last: Option<(usize, Se3)>,
-    unmapped: Option<(usize, Located)>,
+    home: Option<KeyframeId>,
+    unmapped: Option<Unmapped<usize>>,
 }
 
 /// The frames that a tracker remembers, mostly one in several roles: each once, named by its place.
@@ -107,7 +138,7 @@ impl SavedTracker {
         *self = Self {
             frames_since_keyframe: self.frames_since_keyframe,
             map: std::mem::take(&mut self.map),
-            footing: Footing::Lost,
+            footing: Footing::Lost { followed: 0 },
             ..Self::default()
         };
     }
@@ -117,10 +148,20 @@ impl SavedTracker {
         let is_sound = |frame: &Arc<RgbdFrame>| frame.camera == *camera && frame.check().is_ok();
         let last = self.last.iter().map(|(place, _)| *place);
         let latest = self.latest.iter().map(|latest| latest.frame);
-        let unmapped = self.unmapped.iter().map(|(place, _)| *place);
+        let unmapped = self.unmapped.iter().map(|unmapped| unmapped.frame);
         self.moving.are_of(camera)
             && self.frames.0.iter().all(is_sound)
             && (last.chain(latest).chain(unmapped)).all(|place| place < self.frames.0.len())
+    }
+
+    /// The keyframes that it is tracked from, or was.
+    pub fn homes(&self) -> impl Iterator<Item = KeyframeId> {
+        let before = match &self.footing {
+            Footing::Found { home_before, .. } => *home_before,
+            Footing::Firm | Footing::Lost { .. } => None,
+        };
+        let unmapped = self.unmapped.as_ref().and_then(|unmapped| unmapped.home);
+        self.home.into_iter().chain(before).chain(unmapped)
     }
 }
 
@@ -163,9 +204,11 @@ impl Tracker {
                 .and_then(|latest| Some(latest.with_frame(frames.get(latest.frame)?))),
             clock: saved.clock,
             newest_keyframe: None,
-            unmapped: saved
-                .unmapped
-                .and_then(|(place, located)| Some((frames.get(place)?, located))),
+            home: saved.home,
+            unmapped: saved.unmapped.and_then(|unmapped| {
+                let frame = frames.get(unmapped.frame)?;
+                Some(unmapped.with_frame(frame))
+            }),
             keyframes: config.keyframes.clone(),
         }
     }
@@ -194,7 +237,8 @@ impl Tracker {
         let latest = self.latest.as_ref();
         let latest = latest.map(|latest| latest.with_frame(frames.place_of(&latest.frame)));
         let unmapped = self.unmapped.as_ref();
-        let unmapped = unmapped.map(|(frame, located)| (frames.place_of(frame), *located));
+        let unmapped =
+            unmapped.map(|unmapped| unmapped.with_frame(frames.place_of(&unmapped.frame)));
         SavedTracker {
             frames_since_keyframe: self.policy.frames_since_keyframe(),
             map: self.map.save(),
@@ -205,6 +249,7 @@ impl Tracker {
             frames,
             latest,
             last,
+            home: self.home,
             unmapped,
         }
     }
@@ -252,7 +297,7 @@ impl Tracker {
         };
         let predicted = match self.footing {
             Footing::Firm => self.motion.predict(measured.seconds).map(Start::predicted),
-            Footing::Lost | Footing::Found { .. } => None,
+            Footing::Lost { .. } | Footing::Found { .. } => None,
         };
         let followed =
             predicted.and_then(|start| self.registrar.follow(measured, self.known(), &start));
@@ -304,19 +349,70 @@ impl Tracker {
         } else if self.newest_keyframe.is_some() {
             self.stumble();
         }
+        if let Some(attempt) = self.start_elsewhere(frame, admission) {
+            tracked.quality.take_over(&attempt.evidence);
+            tracked.verdict = attempt.verdict;
+            tracked.world_from_camera = Some(attempt.located.world_from_camera);
+            self.stand_at(&attempt);
+            let points = self.grid.surface_points(&frame.depth_m, &frame.camera);
+            tracked.work = self.work(attempt, &points, admission);
+        }
         tracked
+    }
+
+    /// Where a camera begins a sub-map that has been lost for a while and sees well; `None` if it does not.
+    fn start_elsewhere(&mut self, frame: &Arc<RgbdFrame>, admission: Admission) -> Option<Attempt> {
+        let Footing::Lost { followed } = &mut self.footing else {
+            return None;
+        };
+        let before = self.latest.as_ref()?;
+        let can_be_followed = follows(frame, &before.frame);
+        *followed = if can_be_followed {
+            *followed + 1
+        } else {
+            followed.saturating_sub(1)
+        };
+        if !can_be_followed || *followed < MAX_FOLLOWED || admission != Admission::Allowed {
+            return None;
+        }
+        let height_m = self.relocalizer.highest_m()? + APART_M;
+        let elsewhere = Se3::new(
+            UnitQuaternion::identity(),
+            Vector3::new(0.0, -height_m, 0.0),
+        );
+        let measured = Measured {
+            frame,
+            points: &self.grid.surface_points(&frame.depth_m, &frame.camera),
+            seconds: self.clock.now_secs(),
+        };
+        let nowhere = MotionModel::default();
+        let known = Known {
+            motion: &nowhere,
+            ..self.known()
+        };
+        let attempt = self.registrar.place(measured, known, &elsewhere)?;
+        self.footing = Footing::Firm;
+        self.home = None;
+        self.motion = nowhere;
+        self.moving = MovingThings::default();
+        Some(attempt)
     }
 
     /// The keyframe that the last trusted frame becomes when the recording ends, so that the map
     /// reaches as far as the camera did; `None` if it already is one.
     pub fn finish(&mut self) -> Option<Keyframe> {
-        let (frame, located) = self.unmapped.take()?;
+        let Unmapped {
+            frame,
+            located,
+            home,
+        } = self.unmapped.take()?;
+        self.home = home;
         Some(self.make_keyframe(KeyframeKind::Mapping, &frame, &located, &[]))
     }
 
     /// The keyframe that the camera's pose is relative to.
-    pub fn newest_keyframe(&self) -> Option<KeyframeId> {
-        self.newest_keyframe
+    pub fn home(&self) -> Option<KeyframeId> {
+        self.home
     }
 
     /// Forgets sparse points that the mapper has pruned.
@@ -325,28 +421,39 @@ impl Tracker {
     }
 
     /// Keyframes were moved, each by its `new_world_from_old_world`: their sparse points move with
-    /// them, and the camera with the newest.
+    /// them, and the camera with the one that it is tracked from.
     pub fn move_keyframes(&mut self, moves: &[(KeyframeId, Se3)]) {
         self.map.move_anchored(moves);
         self.color.move_keyframes(moves);
         self.relocalizer.move_keyframes(moves);
-        let newest = moves
-            .iter()
-            .find(|(id, _)| Some(*id) == self.newest_keyframe);
-        if let Some((_, new_from_old)) = newest {
+        let motion_of = |home: Option<KeyframeId>| {
+            let (_, new_from_old) = moves.iter().find(|(id, _)| Some(*id) == home)?;
+            Some(new_from_old)
+        };
+        if let Some(new_from_old) = motion_of(self.home) {
             self.motion.move_world(new_from_old);
-            self.moving.move_world(new_from_old);
-            self.relocalizer.move_camera(new_from_old);
-            if let Footing::Found { before } = &mut self.footing {
-                before.move_world(new_from_old);
-            }
             let latest = self.latest.as_mut();
             if let Some(pose) = latest.and_then(|latest| latest.world_from_camera.as_mut()) {
                 *pose = *new_from_old * *pose;
             }
-            if let Some((_, located)) = &mut self.unmapped {
-                located.world_from_camera = *new_from_old * located.world_from_camera;
+        }
+        // What a single frame says of the camera is not what trusted frames said.
+        let trusted = match &self.footing {
+            Footing::Found { home_before, .. } => *home_before,
+            Footing::Firm | Footing::Lost { .. } => self.home,
+        };
+        if let Some(new_from_old) = motion_of(trusted) {
+            self.moving.move_world(new_from_old);
+            self.relocalizer.move_camera(new_from_old);
+            if let Footing::Found { motion_before, .. } = &mut self.footing {
+                motion_before.move_world(new_from_old);
             }
+        }
+        if let Some(unmapped) = &mut self.unmapped
+            && let Some(new_from_old) = motion_of(unmapped.home)
+        {
+            let pose = &mut unmapped.located.world_from_camera;
+            *pose = *new_from_old * *pose;
         }
     }
 
@@ -399,7 +506,7 @@ impl Tracker {
             let world_from_depth = guess.world_from_camera * color_from_depth;
             Start::from_corners(world_from_depth, &guess.information)
         };
-        for guess in self.relocalizer.guesses_nearby(&features) {
+        for guess in self.relocalizer.guesses_nearby(&features, self.home) {
             best = better(best, attempt(&start_of(&guess)));
             if is_clear(&best) {
                 return best;
@@ -408,9 +515,15 @@ impl Tracker {
         if matches!(self.footing, Footing::Firm) {
             return best;
         }
+        // Nothing is known of the motion of a camera that is somewhere else.
+        let known = Known {
+            motion: &MotionModel::default(),
+            ..self.known()
+        };
         for guess in (self.relocalizer).guesses_anywhere(measured.frame, &features) {
-            let relocalized = attempt(&start_of(&guess)).map(|attempt| Attempt {
-                is_relocalized: true,
+            let relocalized = self.registrar.attempt(measured, known, &start_of(&guess));
+            let relocalized = relocalized.map(|attempt| Attempt {
+                relocalized_by: guess.keyframe,
                 ..attempt
             });
             best = better(best, relocalized);
@@ -429,21 +542,38 @@ impl Tracker {
             self.stumble();
             return Verdict::Lost;
         }
-        if matches!(self.footing, Footing::Lost) && (attempt.is_doubtful || attempt.is_relocalized)
-        {
-            let before = self.motion.clone();
-            self.footing = Footing::Found { before };
-            return Verdict::Weak;
+        let is_relocalized = attempt.relocalized_by.is_some();
+        let is_first = matches!(self.footing, Footing::Lost { .. });
+        let needs_another = is_first && (attempt.is_doubtful || is_relocalized);
+        self.footing = if needs_another {
+            Footing::Found {
+                motion_before: self.motion.clone(),
+                home_before: self.home,
+            }
+        } else {
+            Footing::Firm
+        };
+        if is_relocalized {
+            self.home = attempt.relocalized_by;
+            self.motion = MotionModel::default();
         }
-        self.footing = Footing::Firm;
-        own
+        if needs_another { Verdict::Weak } else { own }
     }
 
     /// A frame is lost, and with it what only the frame before said.
     fn stumble(&mut self) {
-        if let Footing::Found { before } = std::mem::replace(&mut self.footing, Footing::Lost) {
-            self.motion = before;
+        match &self.footing {
+            Footing::Lost { .. } => return,
+            Footing::Firm => {}
+            Footing::Found {
+                motion_before,
+                home_before,
+            } => {
+                self.motion = motion_before.clone();
+                self.home = *home_before;
+            }
         }
+        self.footing = Footing::Lost { followed: 0 };
     }
 
     /// The camera is where a frame was found.
@@ -484,7 +614,11 @@ impl Tracker {
             return Some(FrameWork::Keyframe(Box::new(made)));
         }
         if admission != Admission::HeldOut {
-            self.unmapped = Some((Arc::clone(&frame), located));
+            self.unmapped = Some(Unmapped {
+                frame: Arc::clone(&frame),
+                located,
+                home: self.home,
+            });
         }
         Some(FrameWork::Align(Box::new(FrameToAlign {
             index: frame.index,
@@ -501,6 +635,7 @@ impl Tracker {
         points: &[SurfacePoint],
     ) -> Keyframe {
         let id = self.next_keyframe_id();
+        let previous = self.home.replace(id);
         let world_from_camera = located.world_from_camera;
         let frame = shared(measured, measured.synchronized(&located.velocity));
         let new_points = match kind {
@@ -518,6 +653,7 @@ impl Tracker {
             kind,
             frame,
             world_from_camera,
+            previous,
             information: located.information,
             new_points,
         }

@@ -17,6 +17,7 @@ fn keyframe(id: usize, frame: RgbdFrame, world_from_camera: Se3) -> Keyframe {
         kind: KeyframeKind::Mapping,
         frame: Arc::new(frame),
         world_from_camera,
+        previous: None,
         information: None,
         new_points: Vec::new(),
     }

@@ -260,18 +260,27 @@ fn a_lost_camera_extends_the_map_once_it_is_found() {
     assert_eq!(output.frames.len(), 45);
 }
 
-/// Nothing in the map looks like another room.
+/// Nothing in the map looks like another room, which becomes a sub-map if the map may grow.
 #[test]
-fn a_camera_elsewhere_stays_lost() {
+fn a_camera_elsewhere_is_not_found_in_the_map() {
     let sequence = room(100);
     let folder = map(&sequence);
-    let saved = folder.saved().into_map();
-    let mut slam = folder.restored(&config(), Execution::Lockstep, cpu_model(), saved);
     let elsewhere = Sequence::new(11, 100, *sequence.camera(), SensorModel::exact());
-    for frame in another_recording(&elsewhere, 0..20) {
-        slam.push(frame).unwrap();
-    }
-    assert_eq!(statuses(&slam.finish()), "L".repeat(20));
+    let go = |saved: SavedSession| {
+        let mut slam = folder.restored(&config(), Execution::Lockstep, cpu_model(), saved);
+        for frame in another_recording(&elsewhere, 0..30) {
+            slam.push(frame).unwrap();
+        }
+        slam.finish()
+    };
+    let fixed = go(folder.saved().into_map().localizing_only());
+    assert_eq!(statuses(&fixed), "L".repeat(30));
+    assert!(fixed.further.is_empty());
+    let grown = go(folder.saved().into_map());
+    let statuses = statuses(&grown);
+    assert!(statuses.starts_with(&"L".repeat(10)) && statuses.ends_with("TTTTT"));
+    assert!((grown.frames.iter()).all(|frame| frame.submap != Some(0)));
+    assert_eq!(grown.further.len(), 1);
 }
 
 /// Bytes that no session wrote are refused, or make a session that runs; nothing panics.

@@ -11,9 +11,9 @@ fn scenario(name: &str) -> Scenario {
 }
 
 /// The true poses, seen from another world.
-fn poses(scenario: &Scenario, found_from_world: &Se3) -> Vec<Option<Se3>> {
+fn poses(scenario: &Scenario, found_from_world: &Se3) -> Vec<Option<(usize, Se3)>> {
     (0..scenario.len())
-        .map(|index| Some(*found_from_world * scenario.world_from_camera(index)))
+        .map(|index| Some((0, *found_from_world * scenario.world_from_camera(index))))
         .collect()
 }
 
@@ -23,7 +23,9 @@ fn poses_in_another_world_are_right_and_those_that_move_too_far_are_wrong() {
     let found_from_world = Se3::exp(&Vector6::new(0.3, -0.8, 0.1, 1.0, 2.0, -0.5));
     let mut poses = poses(&shake, &found_from_world);
     let [moved, turned, lost] = [0, 1, 2].map(|i| shake.disturbed().start + i);
-    let change = |pose: Option<Se3>, by: Vector6<f64>| pose.map(|pose| pose * Se3::exp(&by));
+    let change = |pose: Option<(usize, Se3)>, by: Vector6<f64>| {
+        pose.map(|(world, pose)| (world, pose * Se3::exp(&by)))
+    };
     poses[moved] = change(poses[moved], Vector6::new(0.0, 0.0, 0.0, 0.0, 0.06, 0.0));
     poses[turned] = change(poses[turned], Vector6::new(0.06, 0.0, 0.0, 0.0, 0.0, 0.0));
     poses[lost] = None;
@@ -47,7 +49,7 @@ fn a_shake_has_the_speed_that_it_says() {
     let poses = poses(&shake, &Se3::identity());
     let (mut speed, mut turn) = (0f64, 0f64);
     for pair in poses.windows(2) {
-        let step = pair[0].unwrap().inverse() * pair[1].unwrap();
+        let step = pair[0].unwrap().1.inverse() * pair[1].unwrap().1;
         speed = speed.max(30.0 * step.translation.norm());
         turn = turn.max(30.0 * step.rotation.angle().to_degrees());
     }

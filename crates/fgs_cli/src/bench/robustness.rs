@@ -36,9 +36,12 @@ struct Row<'a> {
     wrong_weak: usize,
     /// The largest error of a tracked frame.
     worst_tracked_m: f64,
+    /// Sub-maps that began.
+    submaps: usize,
     /// Keyframes whose pose is wrong.
     wrong_keyframes: usize,
-    /// Frames from the end of the disturbance to the first that is tracked and right, if there is one.
+    /// Frames from the end of the disturbance to the first that is tracked in the first sub-map and right, if
+    /// there is one.
     recovered_after: Option<usize>,
     track_mean_ms: f64,
     track_max_ms: f64,
@@ -54,6 +57,7 @@ struct Line<'a> {
     wrong: bool,
     error_m: Option<f64>,
     error_deg: Option<f64>,
+    submap: Option<usize>,
     keyframe: bool,
     points: usize,
     inliers: usize,
@@ -124,7 +128,7 @@ fn follow(scenario: &Scenario, camera: &Camera) -> anyhow::Result<Vec<FrameResul
 
 fn report(name: &str, scenario: &Scenario, results: &[FrameResult], console: Console) {
     let poses: Vec<_> = (results.iter())
-        .map(|result| result.world_from_camera)
+        .map(|result| Some((result.submap?, result.world_from_camera?)))
         .collect();
     let errors = scenario.errors(&poses);
     let is_wrong = |error: &Option<PoseError>| error.is_some_and(|error| error.is_wrong());
@@ -146,11 +150,14 @@ fn report(name: &str, scenario: &Scenario, results: &[FrameResult], console: Con
         worst_tracked_m: of(FrameStatus::Tracked)
             .filter_map(|(_, error)| Some(error.as_ref()?.position_m))
             .fold(0.0, f64::max),
+        submaps: (results.iter().filter_map(|result| result.submap).max())
+            .map_or(0, |last| last + 1),
         wrong_keyframes: judged()
             .filter(|(result, error)| result.keyframe.is_some() && is_wrong(error))
             .count(),
-        recovered_after: after()
-            .position(|(result, error)| result.status == FrameStatus::Tracked && !is_wrong(error)),
+        recovered_after: after().position(|(result, error)| {
+            result.status == FrameStatus::Tracked && result.submap == Some(0) && !is_wrong(error)
+        }),
         track_mean_ms: times().sum::<f64>() / results.len().max(1) as f64,
         track_max_ms: times().fold(0.0, f64::max),
     };
@@ -182,6 +189,7 @@ fn report(name: &str, scenario: &Scenario, results: &[FrameResult], console: Con
             wrong: is_wrong(error),
             error_m: error.map(|error| error.position_m),
             error_deg: error.map(|error| error.rotation_rad.to_degrees()),
+            submap: result.submap,
             keyframe: result.keyframe.is_some(),
             points: quality.points,
             inliers: quality.inliers,

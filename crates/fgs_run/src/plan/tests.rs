@@ -9,8 +9,9 @@ use fgs_synth::{SensorModel, Sequence, kinect_camera};
 use tempfile::TempDir;
 
 use super::*;
+use crate::frame_log::FrameRow;
 use crate::observer::RunEvent;
-use crate::run_folder::{MAP, REFINED_MAP, RunFolder};
+use crate::run_folder::{MAP, REFINED_MAP, RunFolder, TRAJECTORY};
 use crate::{FinishedRun, Scores, score_images};
 
 const FRAME_COUNT: usize = 3;
@@ -18,10 +19,18 @@ const FRAME_COUNT: usize = 3;
 /// A plan for a tiny recording of a room, seen with exact depth.
 fn room() -> (TempDir, Plan) {
     let folder = tempfile::tempdir().unwrap();
-    let recording = folder.path().join("room");
+    write_room(1, FRAME_COUNT, &folder.path().join("room"));
+    plan_in(folder)
+}
+
+fn write_room(seed: u64, frames: usize, recording: &Path) {
     let camera = kinect_camera(160, 120).unwrap();
-    let sequence = Sequence::new(1, FRAME_COUNT, camera, SensorModel::exact());
-    fgs_synth::write_tum(&sequence, &recording, |_| ControlFlow::Continue(())).unwrap();
+    let sequence = Sequence::new(seed, frames, camera, SensorModel::exact());
+    fgs_synth::write_tum(&sequence, recording, |_| ControlFlow::Continue(())).unwrap();
+}
+
+fn plan_in(folder: TempDir) -> (TempDir, Plan) {
+    let recording = folder.path().join("room");
     let options = RunOptions {
         dataset: recording,
         backend: Some(Backend::Cpu),
@@ -339,4 +348,56 @@ fn a_stop_during_refinement_saves_both_maps() {
     let saved = saved(&plan.folder).unwrap();
     assert!(saved.gaussians.len() > 100 && saved.refined.unwrap().len() > 100);
     assert_eq!(saved.metrics.scores.get("psnr_db"), None);
+}
+
+/// A recording that is cut from one room into another.
+fn two_rooms() -> (TempDir, Plan) {
+    const FIRST: usize = 6;
+    let folder = tempfile::tempdir().unwrap();
+    let [first, second] = ["room", "second"].map(|name| folder.path().join(name));
+    write_room(3, FIRST, &first);
+    write_room(11, 20, &second);
+    for kind in ["rgb", "depth"] {
+        let list = format!("{kind}.txt");
+        let mut all = fs::read_to_string(first.join(&list)).unwrap();
+        for line in fs::read_to_string(second.join(&list)).unwrap().lines() {
+            if let Some((secs, file)) = line.split_once(' ').filter(|_| !line.starts_with('#')) {
+                let secs = secs.parse::<f64>().unwrap() + FIRST as f64 / 30.0;
+                let name = format!("{kind}/second-{secs:.6}.png");
+                fs::copy(second.join(file), first.join(&name)).unwrap();
+                all += &format!("{secs:.6} {name}\n");
+            }
+        }
+        fs::write(first.join(&list), all).unwrap();
+    }
+    plan_in(folder)
+}
+
+#[test]
+fn what_nothing_connects_is_saved_apart() {
+    let (_folder, plan) = two_rooms();
+    let result = run(&plan).unwrap();
+    let metrics = &result.metrics;
+    let frames = |submap| {
+        let rows = result.rows.iter();
+        rows.filter(|row| row.submap == Some(submap)).count()
+    };
+    assert_eq!(metrics.further_submaps, 1);
+    assert!(metrics.frames_elsewhere == frames(1) && frames(0) > 0 && frames(1) > 0);
+    assert_eq!(metrics.frames, frames(0) + frames(1) + metrics.frames_lost);
+    let folder = plan.folder.path();
+    for (submap, poses, map) in [(0, TRAJECTORY, MAP), (1, "trajectory_1.txt", "map_1.ply")] {
+        let trajectory = fgs_data::Trajectory::read(&folder.join(poses)).unwrap();
+        assert_eq!(trajectory.poses().len(), frames(submap), "{poses}");
+        let near = |mean: &[f32; 3]| mean.iter().all(|value| value.abs() < 20.0);
+        let map = fgs_splat::read_ply(&folder.join(map)).unwrap();
+        assert!(!map.is_empty() && map.means.iter().all(near));
+    }
+    // Only the largest is scored, and only it has pictures.
+    let scored = |row: &FrameRow| row.scores.get("psnr_db").is_some();
+    assert!((result.rows.iter()).all(|row| scored(row) == (row.submap == Some(0))));
+    assert!(metrics.table().contains("sub-maps   1 more, with "));
+    let run_folder = RunFolder::open(folder).unwrap();
+    assert!(run_folder.holds_result(&folder.join("map_1.ply")));
+    assert!(!run_folder.holds_result(&folder.join("map_2.ply")));
 }

@@ -6,6 +6,7 @@ use nalgebra::Matrix6;
 
 use super::detect::way;
 use super::verify::{Revisit, with_errors};
+use crate::submaps::Submaps;
 
 /// Tracking drifts by about so much from one keyframe to the next, beside what its registration
 /// knows of: standard deviations, of the way between the two (metres), and at least.
@@ -69,8 +70,13 @@ pub struct Correction {
     pub moves: Vec<(KeyframeId, Se3)>,
 }
 
-/// What revisits mean for a graph; `None` if they contradict its other edges.
-pub fn correction(graph: &KeyframeGraph, revisits: [&Revisit; 2]) -> Option<Correction> {
+/// What revisits mean for a graph; `None` if they contradict its other edges. If they are of two sub-maps, the
+/// newer comes to the older.
+pub fn correction(
+    graph: &KeyframeGraph,
+    submaps: &Submaps,
+    revisits: [&Revisit; 2],
+) -> Option<Correction> {
     let edges = |kernel: RobustKernel| {
         revisits.map(|revisit| Edge {
             from: revisit.old,
@@ -82,8 +88,9 @@ pub fn correction(graph: &KeyframeGraph, revisits: [&Revisit; 2]) -> Option<Corr
     };
     // A robust edge far from its minimum has no pull. So loops are closed first, and then asked
     // whether they fit.
-    let closed = optimized(graph, &edges(RobustKernel::Quadratic))?;
     let mut start = graph.clone();
+    start.move_keyframes(&meeting(graph, submaps, revisits[1])?);
+    let closed = optimized(&start, &edges(RobustKernel::Quadratic))?;
     start.move_keyframes(&closed.corrections);
     let edges = edges(RobustKernel::DynamicCovarianceScaling {
         threshold: THRESHOLD,
@@ -111,6 +118,28 @@ pub fn correction(graph: &KeyframeGraph, revisits: [&Revisit; 2]) -> Option<Corr
     })
 }
 
+/// The rigid motion by which a sub-map comes to an older one, as a revisit says; none within a sub-map.
+fn meeting(
+    graph: &KeyframeGraph,
+    submaps: &Submaps,
+    revisit: &Revisit,
+) -> Option<Vec<(KeyframeId, Se3)>> {
+    let (old, new) = (submaps.of(revisit.old)?, submaps.of(revisit.new)?);
+    if old == new {
+        return Some(Vec::new());
+    }
+    let (world_from_old, world_from_new) = (graph.pose(revisit.old)?, graph.pose(revisit.new)?);
+    let old_from_new = *world_from_old * revisit.old_from_new * world_from_new.inverse();
+    let (moved, motion) = if old < new {
+        (new, old_from_new)
+    } else {
+        (old, old_from_new.inverse())
+    };
+    let ids = graph.poses().map(|(id, _)| id);
+    let ids = ids.filter(|id| submaps.of(*id) == Some(moved));
+    Some(ids.map(|id| (id, motion)).collect())
+}
+
 /// What a graph's poses become once edges are added.
 fn optimized(graph: &KeyframeGraph, edges: &[Edge]) -> Option<Optimized> {
     let mut graph = graph.clone();
@@ -122,11 +151,18 @@ fn optimized(graph: &KeyframeGraph, edges: &[Edge]) -> Option<Optimized> {
 
 #[cfg(test)]
 mod tests {
-    use nalgebra::Vector6;
+    use nalgebra::{Vector3, Vector6};
 
     use super::*;
 
     const STEP_M: f64 = 0.2;
+
+    /// All keyframes are of one sub-map.
+    fn one() -> Submaps {
+        let mut submaps = Submaps::default();
+        submaps.add(KeyframeId(0), None, Vector3::zeros());
+        submaps
+    }
 
     fn at(x: f64, y: f64) -> Se3 {
         Se3::exp(&Vector6::new(0.0, 0.0, 0.0, x, y, 0.0))
@@ -165,7 +201,7 @@ mod tests {
     #[test]
     fn drift_is_spread_over_the_way() {
         let graph = drifted();
-        let correction = correction(&graph, [&right(0, 18), &right(1, 19)]).unwrap();
+        let correction = correction(&graph, &one(), [&right(0, 18), &right(1, 19)]).unwrap();
         let mut aside = vec![0.0];
         for (id, motion) in &correction.moves[1..] {
             let pose = *motion * *graph.pose(*id).unwrap();
@@ -183,13 +219,13 @@ mod tests {
     #[test]
     fn loops_that_contradict_the_others_are_refused() {
         let mut graph = drifted();
-        let first = correction(&graph, [&right(0, 18), &right(1, 19)]).unwrap();
+        let first = correction(&graph, &one(), [&right(0, 18), &right(1, 19)]).unwrap();
         graph.move_keyframes(&first.moves);
         for edge in first.edges {
             graph.add_edge(edge).unwrap();
         }
         let wrong = |old: u32, new: u32| revisit(old, new, at(STEP_M * f64::from(new - old), 0.5));
-        assert!(correction(&graph, [&wrong(0, 17), &wrong(1, 16)]).is_none());
+        assert!(correction(&graph, &one(), [&wrong(0, 17), &wrong(1, 16)]).is_none());
     }
 
     #[test]
@@ -199,7 +235,7 @@ mod tests {
             let ahead = STEP_M * f64::from(new - old);
             revisit(old, new, at(ahead, 0.01 * ahead))
         };
-        let correction = correction(&graph, [&known(0, 18), &known(1, 19)]).unwrap();
+        let correction = correction(&graph, &one(), [&known(0, 18), &known(1, 19)]).unwrap();
         assert!(correction.edges.len() == 2 && correction.moves.is_empty());
     }
 
@@ -209,5 +245,54 @@ mod tests {
         assert!(agree(&right(0, 18), &right(3, 19), &graph));
         let other = revisit(3, 19, at(STEP_M * 16.0, 0.1));
         assert!(!agree(&right(0, 18), &other, &graph));
+    }
+
+    /// Keyframes 0 to 9 of a straight way in the first sub-map, the next ten in the second, which lies far
+    /// above and turned, and two more in the first.
+    fn apart() -> (KeyframeGraph, Submaps) {
+        let mut graph = KeyframeGraph::new();
+        let mut submaps = Submaps::default();
+        let far = Se3::exp(&Vector6::new(0.0, 0.0, 0.3, 5.0, -100.0, 2.0));
+        for i in 0..22 {
+            let in_second = (10..20).contains(&i);
+            let place = if i < 20 { i } else { i - 10 };
+            let way = at(STEP_M * f64::from(place), 0.0);
+            let pose = if in_second { far * way } else { way };
+            let previous = match i {
+                0 | 10 => None,
+                20 => Some(9),
+                _ => Some(i - 1),
+            };
+            graph.add_keyframe(KeyframeId(i), pose);
+            submaps.add(KeyframeId(i), previous.map(KeyframeId), pose.translation);
+            if let Some(from) = previous.map(KeyframeId) {
+                let step = at(STEP_M, 0.0);
+                let edge = successive_edge(from, KeyframeId(i), step, &(Matrix6::identity() * 1e6));
+                graph.add_edge(edge.unwrap()).unwrap();
+            }
+        }
+        (graph, submaps)
+    }
+
+    #[test]
+    fn the_newer_submap_comes_to_the_older_whichever_the_camera_is_in() {
+        let (graph, submaps) = apart();
+        let met = |old: u32, new: u32, ahead: f64| revisit(old, new, at(STEP_M * ahead, 0.0));
+        // From the second back to the first, and from the first into the second.
+        for revisits in [
+            [met(8, 18, 10.0), met(9, 19, 10.0)],
+            [met(12, 20, -2.0), met(12, 21, -1.0)],
+        ] {
+            assert!(agree(&revisits[0], &revisits[1], &graph));
+            let [first, second] = &revisits;
+            let joined = correction(&graph, &submaps, [first, second]).unwrap();
+            let mut moved = graph.clone();
+            moved.move_keyframes(&joined.moves);
+            for (id, pose) in moved.poses() {
+                let place = if id.0 < 20 { id.0 } else { id.0 - 10 };
+                let error = pose.inverse() * at(STEP_M * f64::from(place), 0.0);
+                assert!(error.log().norm() <= 1e-6, "{id:?}: {error:?}");
+            }
+        }
     }
 }

@@ -5,8 +5,10 @@ use std::collections::{BTreeMap, BinaryHeap};
 
 use fgs_geom::{KeyframeId, Se3};
 use fgs_graph::{KeyframeGraph, RobustKernel};
+use fgs_place::Similar;
 
 use super::Memory;
+use crate::submaps::Submaps;
 
 /// A turn by a radian makes as much drift as a way of so many metres: about the distance of what is
 /// seen.
@@ -90,21 +92,25 @@ pub fn way(motion: &Se3) -> f64 {
     motion.translation.norm() + METRES_PER_RADIAN * motion.rotation.angle()
 }
 
-/// The old keyframes that look most like the newest, then those that should see most of the same.
+/// The keyframes of other sub-maps that look most like the newest, given how all do.
+pub fn candidates_apart(
+    newest: KeyframeId,
+    similar: &[Similar],
+    submaps: &Submaps,
+) -> Vec<KeyframeId> {
+    most_alike(similar, |id| submaps.are_apart(newest, id))
+}
+
+/// The old keyframes that look most like the newest, given how all do, then those that should see most of
+/// the same.
 pub fn candidates(
     newest: KeyframeId,
+    similar: &[Similar],
     ways: &Ways,
     graph: &KeyframeGraph,
     memory: &Memory,
 ) -> Vec<KeyframeId> {
-    let similar = memory.places.similar_to_newest();
-    let mut found: Vec<KeyframeId> = similar
-        .iter()
-        .take_while(|similar| similar.similarity >= MIN_SIMILARITY)
-        .map(|similar| similar.id)
-        .filter(|id| ways.is_old(*id))
-        .take(MOST_ALIKE)
-        .collect();
+    let mut found = most_alike(similar, |id| ways.is_old(id));
     let Some(world_from_newest) = graph.pose(newest) else {
         return found;
     };
@@ -122,6 +128,17 @@ pub fn candidates(
     near.sort_by(|a, b| a.0.total_cmp(&b.0));
     found.extend(near.iter().take(NEAREST).map(|(_, id)| *id));
     found
+}
+
+/// Of the keyframes that are wanted, those that come first.
+fn most_alike(similar: &[Similar], is_wanted: impl Fn(KeyframeId) -> bool) -> Vec<KeyframeId> {
+    similar
+        .iter()
+        .take_while(|similar| similar.similarity >= MIN_SIMILARITY)
+        .map(|similar| similar.id)
+        .filter(|id| is_wanted(*id))
+        .take(MOST_ALIKE)
+        .collect()
 }
 
 #[cfg(test)]

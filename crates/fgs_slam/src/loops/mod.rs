@@ -1,6 +1,7 @@
 //! Loop closure: when the camera comes back to a place after a way on which poses have drifted, the
 //! place is recognised (detect.rs), checked (verify.rs), and all keyframes are moved to where the whole
-//! graph fits best (correct.rs).
+//! graph fits best (correct.rs). In the same way a sub-map is joined to another that it meets; no way says
+//! how the two can lie, so the check is stricter.
 //!
 //! A wrong loop bends the map for good, a missed one leaves it as it was. So everything must speak for
 //! a loop, and two keyframes must find the same drift one after the other.
@@ -23,11 +24,12 @@ use crate::color_aligner::ColorAligner;
 use crate::registrar::Registrar;
 use crate::relocalizer::Relocalizer;
 use crate::sparse_map::SparseMap;
+use crate::submaps::Submaps;
 
 pub use correct::{Correction, successive_edge};
 use correct::{agree, correction};
-use detect::{Ways, candidates};
-use verify::{Revisit, Seen, verify};
+use detect::{Ways, candidates, candidates_apart};
+use verify::{LOOP, MEETING, Revisit, Seen, verify};
 
 /// A revisit waits for another to agree while the camera comes so far, metres.
 const PATIENCE_M: f64 = 2.0;
@@ -57,12 +59,15 @@ impl LoopCloser {
         id: KeyframeId,
         frame: &RgbdFrame,
         graph: &KeyframeGraph,
+        submaps: &Submaps,
         memory: &Memory,
     ) -> Option<Correction> {
         let ways = Ways::from(graph, id);
         (self.waiting).retain(|revisit| ways.to(revisit.new) <= PATIENCE_M);
-        let candidates = candidates(id, &ways, graph, memory);
-        if candidates.is_empty() {
+        let similar = memory.places.similar_to_newest();
+        let candidates = candidates(id, &similar, &ways, graph, memory);
+        let apart = candidates_apart(id, &similar, submaps);
+        if candidates.is_empty() && apart.is_empty() {
             return None;
         }
         let pyramid = ColorAligner::pyramid(frame);
@@ -71,9 +76,11 @@ impl LoopCloser {
             frame,
             pyramid: &pyramid,
         };
-        let revisit = verify(seen, &candidates, &ways, graph, memory)?;
+        let is_drift = |revisit: &Revisit, chi2| revisit.is_news(graph, &ways, chi2);
+        let revisit = verify(seen, &apart, &MEETING, |_, _| true, graph, memory)
+            .or_else(|| verify(seen, &candidates, &LOOP, is_drift, graph, memory))?;
         let confirmed = (self.waiting.iter()).find(|earlier| agree(earlier, &revisit, graph));
-        let closed = confirmed.and_then(|earlier| correction(graph, [earlier, &revisit]));
+        let closed = confirmed.and_then(|earlier| correction(graph, submaps, [earlier, &revisit]));
         if closed.is_some() {
             self.waiting.clear();
         } else {

@@ -15,6 +15,7 @@ use crate::surface::tracking_grid;
 /// What a tracker would remember.
 struct Remembered {
     graph: KeyframeGraph,
+    submaps: Submaps,
     places: Relocalizer,
     color: ColorAligner,
     map: SparseMap,
@@ -42,6 +43,7 @@ impl Remembered {
         let config = SlamConfig::default();
         let mut remembered = Self {
             graph: KeyframeGraph::new(),
+            submaps: Submaps::default(),
             places: Relocalizer::default(),
             color: ColorAligner::default(),
             map: SparseMap::restored(0.03, SavedSparseMap::default()),
@@ -60,6 +62,7 @@ impl Remembered {
     fn join(&mut self, id: KeyframeId, pose: Se3) {
         self.graph.add_keyframe(id, pose);
         let before = id.0.checked_sub(1).map(KeyframeId);
+        self.submaps.add(id, before, pose.translation);
         if let Some(from) = before
             && let Some(world_from_before) = self.graph.pose(from)
         {
@@ -77,6 +80,7 @@ impl Remembered {
             kind: KeyframeKind::Tracking,
             frame: Arc::new(sequence.frame(frame)),
             world_from_camera: pose,
+            previous: None,
             information: None,
             new_points: Vec::new(),
         };
@@ -113,7 +117,13 @@ impl Remembered {
         drift: &Se3,
     ) -> Option<Correction> {
         let keyframe = self.show(id, sequence, frame, drift);
-        closer.close(keyframe.id, &keyframe.frame, &self.graph, &self.memory())
+        closer.close(
+            keyframe.id,
+            &keyframe.frame,
+            &self.graph,
+            &self.submaps,
+            &self.memory(),
+        )
     }
 }
 

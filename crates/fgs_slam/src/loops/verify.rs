@@ -12,21 +12,36 @@ use serde::{Deserialize, Serialize};
 use super::Memory;
 use super::detect::Ways;
 
-/// Corners that must agree: twice what a pose without a first guess takes, since nothing is lost by
-/// waiting for a better view.
-const MIN_INLIERS: usize = 20;
+/// What must speak for a revisit.
+pub struct Limits {
+    /// Corners that must agree.
+    inliers: usize,
+    /// The share of the new keyframe's surface points that must lie on the old surfaces.
+    inlier_share: f64,
+    /// Support of the new keyframe by the old one.
+    support: f64,
+}
 
-/// The share of the new keyframe's surface points that must lie on the old surfaces.
-const MIN_INLIER_SHARE: f64 = 0.4;
+/// For a loop, of which the way round says that it is possible. The corners are twice what a pose without a
+/// first guess takes, since nothing is lost by waiting for a better view.
+pub const LOOP: Limits = Limits {
+    inliers: 20,
+    inlier_share: 0.4,
+    support: 0.5,
+};
+
+/// Where nothing else is known, as between sub-maps: what finds a lost camera.
+pub const MEETING: Limits = Limits {
+    inliers: 30,
+    inlier_share: 0.75,
+    support: 0.75,
+};
 
 /// Points correspond up to this distance from where corners put them, then up to this, metres.
 const SEARCH_M: [f64; 2] = [0.06, 0.03];
 
 /// Two views of one surface do not differ by more, root mean square, relative to the depth.
 const MAX_RESIDUAL: f64 = 0.01;
-
-/// Support of the new keyframe by the old one.
-const MIN_SUPPORT: f64 = 0.5;
 
 /// So many of the old keyframe's points must be in view, and this share of them.
 const MIN_COMPARED: usize = 25;
@@ -66,7 +81,7 @@ impl Revisit {
 
     /// Whether the graph says otherwise, beyond the measurement's noise, but not more than drift can
     /// explain.
-    fn is_news(&self, graph: &KeyframeGraph, ways: &Ways, chi2: f64) -> bool {
+    pub fn is_news(&self, graph: &KeyframeGraph, ways: &Ways, chi2: f64) -> bool {
         self.drift(graph).is_some_and(|drift| {
             let tangent = drift.log();
             ways.allows(self.old, &drift) && tangent.dot(&(self.information * tangent)) > chi2
@@ -82,21 +97,22 @@ pub struct Seen<'a> {
     pub pyramid: &'a IntensityPyramid,
 }
 
-/// How a new keyframe lies to one of some old ones, if it shows the same and the graph does not know it
-/// yet.
+/// How a new keyframe lies to one of some old ones, if it shows the same and that is news beyond a squared
+/// error.
 pub fn verify(
     new: Seen,
     candidates: &[KeyframeId],
-    ways: &Ways,
+    limits: &Limits,
+    is_news: impl Fn(&Revisit, f64) -> bool,
     graph: &KeyframeGraph,
     memory: &Memory,
 ) -> Option<Revisit> {
     let by_corners = (candidates.iter())
         .filter_map(|old| recognized(new.id, *old, memory))
-        .filter(|(guess, _)| guess.is_news(graph, ways, MAYBE_NEWS))
+        .filter(|(guess, inliers)| *inliers >= limits.inliers && is_news(guess, MAYBE_NEWS))
         .max_by_key(|(_, inliers)| *inliers)?;
-    let revisit = registered(new, &by_corners.0, graph, memory)?;
-    let is_same = revisit.is_news(graph, ways, MAX_CHI2) && looks_alike(new, &revisit, memory);
+    let revisit = registered(new, &by_corners.0, limits, graph, memory)?;
+    let is_same = is_news(&revisit, MAX_CHI2) && looks_alike(new, &revisit, limits, memory);
     is_same.then_some(revisit)
 }
 
@@ -109,16 +125,16 @@ fn recognized(new: KeyframeId, old: KeyframeId, memory: &Memory) -> Option<(Revi
         old_from_new: relative.a_from_b,
         information: with_errors(&relative.information, CORNERS_FLOOR)?,
     };
-    (relative.inliers >= MIN_INLIERS).then_some((revisit, relative.inliers))
+    Some((revisit, relative.inliers))
 }
 
 /// Whether a new keyframe looks like the old one from where it is said to be.
-fn looks_alike(new: Seen, revisit: &Revisit, memory: &Memory) -> bool {
+fn looks_alike(new: Seen, revisit: &Revisit, limits: &Limits, memory: &Memory) -> bool {
     let new_from_old = revisit.old_from_new.inverse();
     let depth_m = &new.frame.depth_m;
     let seen = (memory.color).agreement_with(revisit.old, new.pyramid, depth_m, &new_from_old);
     seen.is_some_and(|seen| {
-        seen.points >= MIN_COMPARED && seen.share >= MIN_SHARE && seen.support() >= MIN_SUPPORT
+        seen.points >= MIN_COMPARED && seen.share >= MIN_SHARE && seen.support() >= limits.support
     })
 }
 
@@ -126,6 +142,7 @@ fn looks_alike(new: Seen, revisit: &Revisit, memory: &Memory) -> bool {
 fn registered(
     new: Seen,
     guess: &Revisit,
+    limits: &Limits,
     graph: &KeyframeGraph,
     memory: &Memory,
 ) -> Option<Revisit> {
@@ -159,7 +176,7 @@ fn registered(
     let alignment = alignment?;
     let depth_m = surface.iter().map(|point| point.measured.z).sum::<f64>() / surface.len() as f64;
     let holds = alignment.converged
-        && alignment.inlier_share >= MIN_INLIER_SHARE
+        && alignment.inlier_share >= limits.inlier_share
         && alignment.rms_residual_m <= MAX_RESIDUAL * depth_m
         && guess.drift_to(&(world_from_old.inverse() * pose)) <= MAX_CHI2;
     holds.then_some(())?;

@@ -3,10 +3,11 @@
 #![allow(clippy::unwrap_used, dead_code)]
 
 pub mod saved;
+pub mod scenario;
 
 use std::sync::atomic::AtomicBool;
 
-use fgs_geom::{Image, RgbdFrame, Se3, View};
+use fgs_geom::{Camera, Image, RgbdFrame, Se3, View};
 use fgs_slam::{
     Execution, FrameStatus, Slam, SlamConfig, SlamOutput, drive, model_settings, replay,
 };
@@ -106,8 +107,17 @@ pub fn picture(
     sequence: &Sequence,
     world_from_camera: Se3,
 ) -> Image<[f32; 3]> {
+    picture_at(gaussians, sequence.camera(), world_from_camera)
+}
+
+/// The same for any camera.
+pub fn picture_at(
+    gaussians: &Gaussians,
+    camera: &Camera,
+    world_from_camera: Se3,
+) -> Image<[f32; 3]> {
     let view = View {
-        camera: *sequence.camera(),
+        camera: *camera,
         world_from_camera,
     };
     let mut rasterizer = Rasterizer::default();

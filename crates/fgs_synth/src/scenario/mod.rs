@@ -26,7 +26,7 @@ const SEED: u64 = 3;
 type Director = fn(&mut Scenario);
 
 /// By name.
-const DIRECTORS: [(&str, Director); 17] = [
+const DIRECTORS: [(&str, Director); 18] = [
     ("bare-wall", plain::bare_wall),
     ("corridor", plain::corridor),
     ("other-room", motion::other_room),
@@ -36,6 +36,7 @@ const DIRECTORS: [(&str, Director); 17] = [
     ("covered", sight::covered),
     ("known-place", motion::known_place),
     ("unknown-place", motion::unknown_place),
+    ("meeting", motion::meeting),
     ("exposure", sight::exposure),
     ("passer-by", passer_by::passer_by),
     ("visitor", passer_by::visitor),
@@ -88,14 +89,25 @@ impl Scenario {
     /// The scenario of a name, if there is one, seen by a camera.
     pub fn named(name: &str, camera: Camera) -> Option<Self> {
         let (_, direct) = DIRECTORS.iter().find(|(known, _)| *known == name)?;
-        let mut scenario = Self {
+        let mut scenario = Self::empty(camera);
+        direct(&mut scenario);
+        Some(scenario)
+    }
+
+    /// As "look-alike", in the rooms of a seed.
+    pub fn look_alike(seed: u64, camera: Camera) -> Self {
+        let mut scenario = Self::empty(camera);
+        motion::look_alike_of(seed, &mut scenario);
+        scenario
+    }
+
+    fn empty(camera: Camera) -> Self {
+        Self {
             camera,
             sensor: SensorModel::kinect(),
             shots: Vec::new(),
             disturbed: 0..0,
-        };
-        direct(&mut scenario);
-        Some(scenario)
+        }
     }
 
     /// Number of frames.

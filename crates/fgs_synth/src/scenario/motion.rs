@@ -22,19 +22,23 @@ pub(super) fn normal(scenario: &mut Scenario) {
 
 /// Cut to another room and back.
 pub(super) fn other_room(scenario: &mut Scenario) {
-    visit(scenario, Stage::furnished(SEED + 1).elsewhere(), 0.0);
+    visit(scenario, SEED, Stage::furnished(SEED + 1).elsewhere(), 0.0);
 }
 
 /// Cut to a room with the same furniture but other small things in it, and back.
 pub(super) fn look_alike(scenario: &mut Scenario) {
-    let room = Stage::with_loop(Room::look_alike(SEED), SEED);
-    visit(scenario, room.elsewhere(), 30.0);
+    look_alike_of(SEED, scenario);
 }
 
-fn visit(scenario: &mut Scenario, other: Stage, at: f64) {
-    let room = Arc::new(Stage::furnished(SEED));
+pub(super) fn look_alike_of(seed: u64, scenario: &mut Scenario) {
+    let room = Stage::with_loop(Room::look_alike(seed), seed);
+    visit(scenario, seed, room.elsewhere(), 20.0);
+}
+
+fn visit(scenario: &mut Scenario, seed: u64, other: Stage, at: f64) {
+    let room = Arc::new(Stage::furnished(seed));
     scenario.film(&room, stretch(0.0, 50.0, 50));
-    scenario.disturb(&Arc::new(other), stretch(at, at + 30.0, 30));
+    scenario.disturb(&Arc::new(other), stretch(at, at + 60.0, 60));
     scenario.film(&room, stretch(30.0, 50.0, 20));
 }
 
@@ -71,6 +75,14 @@ pub(super) fn unknown_place(scenario: &mut Scenario) {
     scenario.film(&room, stretch(0.0, 50.0, 50));
     scenario.disturb(&room, stretch(150.0, 180.0, 30));
     scenario.film(&room, stretch(30.0, 50.0, 20));
+}
+
+/// The camera jumps to the other side of the room, and comes back from there.
+pub(super) fn meeting(scenario: &mut Scenario) {
+    let room = Arc::new(Stage::furnished(SEED));
+    scenario.film(&room, stretch(0.0, 50.0, 50));
+    scenario.disturb(&room, stretch(150.0, 60.0, 60));
+    scenario.film(&room, stretch(60.0, 0.0, 40));
 }
 
 /// Every sixth frame of a normal motion.
