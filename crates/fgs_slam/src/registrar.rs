@@ -26,6 +26,9 @@ const MIN_POINTS: usize = 50;
 const ROTATION_EPSILON_RAD: f64 = 1e-3;
 const TRANSLATION_EPSILON_M: f64 = 2e-4;
 
+/// Steps after which the velocity is known well enough to correct for rolling shutters.
+const ROUGH_STEPS: usize = 4;
+
 /// No depth camera measures a surface better than this at the distances of a room: a floor under
 /// the noise that a registration finds in its residuals.
 const SENSOR_NOISE_M: f64 = 1e-4;
@@ -187,16 +190,16 @@ impl Registrar {
         }
         let velocity = known.motion.velocity_to(&start.world_from_depth, seconds);
         let mut source = self.disks(points, frame, &velocity);
-        let mut alignment = self.align(&source, known.map, &start.world_from_depth)?;
-        let mut registered = self.registered(&alignment, &source, start);
+        let mut from = start.world_from_depth;
         if frame.depth_sensor.readout_secs != 0.0 {
-            // Where the rows were read from follows from the velocity, which is known better now.
-            let better = registered.world_from_depth;
-            let velocity = known.motion.velocity_to(&better, seconds);
+            // Where the rows were read from follows from the velocity, which a few steps tell.
+            let roughly = self.align_roughly(&source, known.map, &from)?;
+            from = self.registered(&roughly, &source, start).world_from_depth;
+            let velocity = known.motion.velocity_to(&from, seconds);
             source = self.disks(points, frame, &velocity);
-            alignment = self.align(&source, known.map, &better)?;
-            registered = self.registered(&alignment, &source, start);
         }
+        let alignment = self.align(&source, known.map, &from)?;
+        let registered = self.registered(&alignment, &source, start);
         let evidence = Evidence {
             converged: alignment.converged,
             inliers: alignment.inliers,
@@ -235,6 +238,16 @@ impl Registrar {
             information: Some(self.information(alignment)),
             held,
         }
+    }
+
+    /// Takes the first steps of a registration.
+    fn align_roughly(&self, source: &[Point], map: &SparseMap, start: &Se3) -> Option<Alignment> {
+        let settings = Settings {
+            max_correspondence_distance_m: self.config.max_correspondence_distance_m as f32,
+            max_iterations: ROUGH_STEPS,
+            ..Settings::default()
+        };
+        align(source, map.points(), start, &settings).ok()
     }
 
     /// Registers points with the sparse map.

@@ -50,6 +50,9 @@ fn a_full_map_stays_full_and_the_camera_is_followed() {
 #[test]
 fn a_map_can_be_tiny() {
     let (output, most) = run(300, Execution::Lockstep);
-    assert!(most <= 300 && !output.gaussians.is_empty(), "{most}");
+    // The camera is lost in so little, and may begin anew.
+    let elsewhere = output.further.iter().map(|map| map.gaussians.len());
+    let all = output.gaussians.len() + elsewhere.sum::<usize>();
+    assert!(most <= 300 && (1..=300).contains(&all), "{most} {all}");
     assert!(output.failure.is_none());
 }
