@@ -188,6 +188,10 @@ fn measure_sensor_times(plan: &mut Plan, console: Console, stop: &AtomicBool) {
     });
     bar.finish_and_clear();
     let times = plan.dataset.camera_file().sensor_times();
+    if !times.are_known() {
+        // Stopped before anything was measured.
+        return;
+    }
     let [delay, color, depth] = [
         times.depth_delay_secs,
         times.color_readout_secs,

@@ -12,7 +12,7 @@ mod times;
 
 pub use measure::{frames_to_measure, measure};
 pub use motions::SensorWatch;
-pub use stretches::{is_gap, stretches, usual_interval};
+pub use stretches::{frames_in, is_gap, stretches, usual_interval};
 pub use times::{MeasuredTime, MeasuredTimes};
 
 /// The median; `None` without values.

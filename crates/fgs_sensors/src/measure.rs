@@ -4,7 +4,7 @@ use std::ops::Range;
 
 use fgs_data::{Dataset, SensorTimes};
 
-use crate::{MeasuredTime, MeasuredTimes, SensorWatch, stretches};
+use crate::{MeasuredTime, MeasuredTimes, SensorWatch, frames_in, stretches};
 
 /// Most frames that are read: they take one core about 5 s at 640x480, and tell the times to a
 /// millisecond if the camera moves at all.
@@ -12,7 +12,7 @@ const MAX_FRAMES: usize = 300;
 
 /// How many frames of a recording are read.
 pub fn frames_to_measure(dataset: &Dataset) -> usize {
-    frames(dataset).iter().map(ExactSizeIterator::len).sum()
+    frames_in(&frames(dataset))
 }
 
 /// The times that the camera file gives, and where it gives none, those that the recording shows: 0
@@ -23,8 +23,9 @@ pub fn measure(dataset: &Dataset, mut progress: impl FnMut() -> bool) -> SensorT
     if given.are_known() {
         return given;
     }
-    let mut watch = SensorWatch::new(*dataset.camera(), frames_to_measure(dataset));
-    for stretch in frames(dataset) {
+    let stretches = frames(dataset);
+    let mut watch = SensorWatch::new(*dataset.camera(), frames_in(&stretches));
+    for stretch in stretches {
         watch.interrupt();
         for frame in dataset.frames(stretch) {
             match frame {

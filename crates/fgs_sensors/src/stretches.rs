@@ -53,6 +53,11 @@ pub fn stretches(times_secs: &[f64], max_frames: usize) -> Vec<Range<usize>> {
     without_gaps
 }
 
+/// How many frames stretches hold.
+pub fn frames_in(stretches: &[Range<usize>]) -> usize {
+    stretches.iter().map(ExactSizeIterator::len).sum()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

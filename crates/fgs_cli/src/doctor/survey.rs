@@ -1,8 +1,10 @@
 //! Reads frames for the checks: all frames of a short recording, stretches of a long one.
 
+use std::ops::Range;
+
 use fgs_data::Dataset;
 use fgs_geom::{FrameIndex, RgbdFrame};
-use fgs_sensors::{SensorWatch, stretches};
+use fgs_sensors::{SensorWatch, frames_in, stretches};
 
 use super::depth_along_z::FlatnessWatch;
 use super::depth_to_color::EdgeMatcher;
@@ -42,6 +44,8 @@ pub struct Survey {
 impl Survey {
     /// Reads the recording; `progress` is called after every frame.
     pub fn read(dataset: &Dataset, mut progress: impl FnMut()) -> Self {
+        let stretches = frames(dataset);
+        let len = frames_in(&stretches);
         let mut survey = Self {
             unreadable: Vec::new(),
             depth_shares: Vec::new(),
@@ -51,11 +55,10 @@ impl Survey {
             flatness: FlatnessWatch::default(),
             edges: EdgeMatcher::default(),
             pairs: PairBuilder::new(*dataset.camera()),
-            sensors: SensorWatch::new(*dataset.camera(), frames_to_read(dataset)),
+            sensors: SensorWatch::new(*dataset.camera(), len),
         };
-        let times: Vec<f64> = dataset.timestamps().collect();
-        let edge_every = frames_to_read(dataset).div_ceil(EDGE_FRAMES);
-        for stretch in stretches(&times, MAX_FRAMES) {
+        let edge_every = len.div_ceil(EDGE_FRAMES);
+        for stretch in stretches {
             survey.interrupt();
             for (index, frame) in stretch.clone().zip(dataset.frames(stretch)) {
                 progress();
@@ -104,7 +107,10 @@ impl Survey {
 
 /// How many frames of a recording are read.
 pub fn frames_to_read(dataset: &Dataset) -> usize {
+    frames_in(&frames(dataset))
+}
+
+fn frames(dataset: &Dataset) -> Vec<Range<usize>> {
     let times: Vec<f64> = dataset.timestamps().collect();
-    let stretches = stretches(&times, MAX_FRAMES);
-    stretches.iter().map(ExactSizeIterator::len).sum()
+    stretches(&times, MAX_FRAMES)
 }
