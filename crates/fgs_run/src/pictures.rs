@@ -46,7 +46,7 @@ pub fn write_samples(
             };
             let pass = rasterizer.render(&result.gaussians, &view);
             let frame = result.trajectory.synchronized(&frame);
-            let picture = side_by_side(&frame, &png_bytes(&pass.rendered().color));
+            let picture = side_by_side(&frame, &pass.rendered().color_bytes());
             write(results, &format!("{PICTURES}/{name}.png"), |file| {
                 write_png(&picture, file)
             })?;
@@ -80,11 +80,6 @@ fn choose(result: &RunResult) -> Vec<(&FrameRow, String)> {
         chosen.extend(frame.map(|(_, row)| (row, format!("{kind}-{:06}", row.index))));
     }
     chosen
-}
-
-/// Rendered colour, nominally 0 to 1, as bytes.
-fn png_bytes(color: &Image<[f32; 3]>) -> Image<[u8; 3]> {
-    color.map(|pixel| pixel.map(|value| (255.0 * value.clamp(0.0, 1.0)).round() as u8))
 }
 
 fn side_by_side(frame: &RgbdFrame, render: &Image<[u8; 3]>) -> Image<[u8; 3]> {
@@ -128,7 +123,7 @@ pub fn render_png(
         if stop.load(Ordering::Relaxed) {
             return Err(io::ErrorKind::Interrupted.into());
         }
-        rows.write_all(png_bytes(&band.color).data().as_flattened())
+        rows.write_all(band.color_bytes().data().as_flattened())
     })?;
     rows.finish()?;
     Ok(png.finish()?)

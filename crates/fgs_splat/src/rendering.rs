@@ -65,6 +65,11 @@ impl Rendered {
     pub fn surface_depth_m(&self, u: usize, v: usize) -> f32 {
         self.depth_m.at(u, v) / self.alpha.at(u, v)
     }
+
+    /// Colour, nominally 0 to 1, as bytes.
+    pub fn color_bytes(&self) -> Image<[u8; 3]> {
+        (self.color).map(|pixel| pixel.map(|value| (255.0 * value.clamp(0.0, 1.0)).round() as u8))
+    }
 }
 
 impl<T: Copy + Default> Rendered<T> {

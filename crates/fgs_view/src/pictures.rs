@@ -42,10 +42,7 @@ pub fn color(image: &Image<[u8; 3]>, size: &Camera) -> RgbImage {
 
 /// A render as it is shown.
 pub fn rendered_color(rendered: &Rendered) -> RgbImage {
-    let byte = |value: &f32| (255.0 * value.clamp(0.0, 1.0)).round() as u8;
-    rgb(&rendered
-        .color
-        .map(|pixel| [byte(&pixel[0]), byte(&pixel[1]), byte(&pixel[2])]))
+    rgb(&rendered.color_bytes())
 }
 
 /// What a map looks like from somewhere.
