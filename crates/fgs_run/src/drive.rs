@@ -223,7 +223,7 @@ fn row_of(frame: &FrameResult) -> FrameRow {
         sparse_points: tracking.map(|tracking| tracking.sparse_points),
         inliers: tracking.map(|tracking| tracking.inliers),
         residual_m: tracking.map(|tracking| tracking.residual_m),
-        conditioning: tracking.map(|tracking| tracking.conditioning),
+        uncertainty_m: tracking.map(|tracking| tracking.uncertainty_m),
         likeness: agreement.map(|agreement| agreement.likeness),
         seen_through: agreement.map(|agreement| agreement.seen_through),
         moving_share: tracking.map(|tracking| tracking.moving_share),

@@ -38,8 +38,8 @@ pub struct FrameRow {
     pub inliers: Option<usize>,
     /// Root mean square point-to-plane distance of the inliers, metres.
     pub residual_m: Option<f64>,
-    /// How well the weakest direction of motion is constrained relative to the strongest, 0 to 1.
-    pub conditioning: Option<f64>,
+    /// Standard deviation of the position, along its worst direction, by depth and colour alone, metres.
+    pub uncertainty_m: Option<f64>,
     /// How much it looks like a keyframe where both see the same, up to 1.
     pub likeness: Option<f64>,
     /// Share of a keyframe's points that it sees through: it measures more depth there.
@@ -64,7 +64,7 @@ const COLUMNS: [&str; 14] = [
     "sparse_points",
     "inliers",
     "residual_m",
-    "conditioning",
+    "uncertainty_m",
     "likeness",
     "seen_through",
     "moving_share",
@@ -84,7 +84,7 @@ impl FrameRow {
             sparse_points: None,
             inliers: None,
             residual_m: None,
-            conditioning: None,
+            uncertainty_m: None,
             likeness: None,
             seen_through: None,
             moving_share: None,
@@ -192,7 +192,7 @@ mod tests {
         tracked.sparse_points = Some(2);
         tracked.inliers = Some(3);
         tracked.residual_m = Some(0.25);
-        tracked.conditioning = Some(0.5);
+        tracked.uncertainty_m = Some(0.5);
         tracked.likeness = Some(0.9);
         tracked.seen_through = Some(0.125);
         tracked.moving_share = Some(0.0625);
@@ -232,7 +232,7 @@ mod tests {
         assert_eq!(
             String::from_utf8(text).unwrap(),
             "index,timestamp_secs,status,submap,keyframe,points,sparse_points,inliers,residual_m,\
-             conditioning,likeness,seen_through,moving_share,tracking_ms,psnr_valid_depth_db,psnr_db,psnr_paper_db,\
+             uncertainty_m,likeness,seen_through,moving_share,tracking_ms,psnr_valid_depth_db,psnr_db,psnr_paper_db,\
              psnr_exposure_valid_depth_db,psnr_exposure_db,ssim,depth_l1_m\n"
         );
     }

@@ -73,8 +73,8 @@ pub struct TrackingQuality {
     pub inliers: usize,
     /// Root mean square distance of those along the surface normal, metres.
     pub residual_m: f64,
-    /// How well the weakest direction is constrained relative to the strongest, 0 to 1.
-    pub conditioning: f64,
+    /// Standard deviation of the position, along its worst direction, by depth and colour alone, metres.
+    pub uncertainty_m: f64,
     /// How the frame agrees with a keyframe in brightness and depth; `None` before the second frame and
     /// without colour in tracking.
     pub agreement: Option<Agreement>,
@@ -87,7 +87,7 @@ impl TrackingQuality {
     pub(crate) fn take_over(&mut self, evidence: &Evidence) {
         self.inliers = evidence.inliers;
         self.residual_m = evidence.residual_m;
-        self.conditioning = evidence.conditioning;
+        self.uncertainty_m = evidence.uncertainty_m;
         self.agreement = evidence.agreement;
     }
 }

@@ -205,7 +205,6 @@ impl Registrar {
             inliers: alignment.inliers,
             inlier_share: alignment.inlier_share,
             residual_m: alignment.rms_residual_m,
-            conditioning: alignment.conditioning.weakest,
             uncertainty_m: 0.0,
             agreement: None,
         };

@@ -55,8 +55,6 @@ pub struct Evidence {
     pub inlier_share: f64,
     /// Root mean square of their distances along the normals, metres.
     pub residual_m: f64,
-    /// How well the weakest direction is constrained relative to the strongest, 0 to 1.
-    pub conditioning: f64,
     /// Standard deviation of the position, along its worst direction, by depth and colour alone, metres.
     pub uncertainty_m: f64,
     /// How the frame agrees with a keyframe, if there is one to compare with.
@@ -72,9 +70,7 @@ impl Evidence {
         } else {
             limits.min_inlier_share
         };
-        let registered = self.converged
-            && self.inlier_share >= needed
-            && self.conditioning >= limits.min_conditioning;
+        let registered = self.converged && self.inlier_share >= needed;
         match support {
             _ if !registered => Verdict::Lost,
             Some(support) if support < MIN_SUPPORT => Verdict::Lost,
@@ -137,7 +133,6 @@ mod tests {
             inliers: 5000,
             inlier_share,
             residual_m: 0.006,
-            conditioning: 0.01,
             uncertainty_m: 0.002,
             agreement: Some(Agreement {
                 points: 100,

@@ -21,9 +21,6 @@ pub struct TrackingConfig {
     pub max_correspondence_distance_m: f64,
     /// A frame with a smaller inlier ratio is lost.
     pub min_inlier_share: f64,
-    /// A frame is lost if its weakest direction is constrained less than this, relative to its
-    /// strongest.
-    pub min_conditioning: f64,
     /// Whether frames are aligned by their brightness too, after registration by depth.
     pub color: bool,
     /// How much of the registration's information counts beside that of colour, 0 to 1. Residuals do
@@ -68,7 +65,6 @@ impl Default for TrackingConfig {
             max_depth_m: 5.0,
             max_correspondence_distance_m: 0.03,
             min_inlier_share: 0.5,
-            min_conditioning: 1e-4,
             color: true,
             depth_trust: 0.01,
         }
@@ -104,7 +100,6 @@ impl TrackingConfig {
             self.max_correspondence_distance_m,
         )?;
         SettingError::unless_share("min_inlier_share", self.min_inlier_share)?;
-        SettingError::unless_share("min_conditioning", self.min_conditioning)?;
         SettingError::unless_share("depth_trust", self.depth_trust)
     }
 }
