@@ -15,6 +15,7 @@ mod image_size;
 mod interrupt;
 mod live;
 mod memory;
+mod merge;
 mod pipeline_cache;
 mod progress;
 mod render;
@@ -58,6 +59,7 @@ enum Command {
     Run(run::RunArgs),
     Eval(eval::EvalArgs),
     Compare(compare::CompareArgs),
+    Merge(merge::MergeArgs),
     Render(render::RenderArgs),
     View(view::ViewArgs),
     Export(export::ExportArgs),
@@ -79,6 +81,7 @@ fn main() -> ExitCode {
         Command::Run(args) => run::run(&args),
         Command::Eval(args) => eval::run(&args),
         Command::Compare(args) => compare::run(&args),
+        Command::Merge(args) => merge::run(&args),
         Command::Render(args) => render::run(&args),
         Command::View(args) => view::run(&args),
         Command::Export(args) => export::run(&args),

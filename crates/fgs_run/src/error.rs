@@ -110,6 +110,27 @@ pub enum RunError {
         /// The folder.
         path: PathBuf,
     },
+    /// Two maps have no place in common that could be recognised.
+    #[error(
+        "{} and {} meet nowhere: no place was found that both show",
+        first.display(),
+        second.display()
+    )]
+    MapsDoNotMeet {
+        /// The first map.
+        first: PathBuf,
+        /// The second.
+        second: PathBuf,
+    },
+    /// A merged map could not be optimised.
+    #[error(transparent)]
+    Mapper(#[from] fgs_slam::MapperError),
+    /// A merged map would replace one that it is made of.
+    #[error("{} is one of the maps to be merged: choose another folder", path.display())]
+    MergesInto {
+        /// The folder.
+        path: PathBuf,
+    },
     /// A map was written by a newer program.
     #[error("the map in {} is of version {version}; this program reads version {known}", path.display())]
     MapVersion {
@@ -200,6 +221,7 @@ impl RunError {
             | Self::OtherRecording { .. }
             | Self::NotARun { .. }
             | Self::NoMap { .. }
+            | Self::MergesInto { .. }
             | Self::NotOfMap { .. } => true,
             Self::Refused(error) => !matches!(error, FolderError::Busy(_)),
             Self::Read { source, .. } => source.kind() == io::ErrorKind::InvalidInput,

@@ -291,12 +291,24 @@ impl MapWriter {
         known: &MapFolder,
     ) -> Result<Self, RunError> {
         let mut writer = Self::begin(path, settings)?;
+        writer.add_all(known)?;
+        Ok(writer)
+    }
+
+    /// Adds another map's keyframes, numbered on from those that are there.
+    ///
+    /// # Errors
+    /// If one cannot be read, is damaged or cannot be written.
+    pub fn add_all(&mut self, known: &MapFolder) -> Result<(), RunError> {
+        let newest = self.keyframes.last();
+        let first = newest.map_or(0, |(id, _)| id.0.saturating_add(1));
         for (id, entry) in &known.manifest.keyframes {
             let bytes = known.read(&keyframe_name(known.manifest.run, *id), *entry)?;
-            let entry = writer.write_bytes(&keyframe_name(writer.run, *id), &bytes)?;
-            writer.keyframes.push((*id, entry));
+            let id = KeyframeId(id.0.saturating_add(first));
+            let entry = self.write_bytes(&keyframe_name(self.run, id), &bytes)?;
+            self.keyframes.push((id, entry));
         }
-        Ok(writer)
+        Ok(())
     }
 
     /// Goes on with a map.

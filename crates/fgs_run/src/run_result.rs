@@ -116,7 +116,7 @@ impl RunResult {
 }
 
 /// Writes a map; returns the size of its file.
-fn write_map(
+pub(crate) fn write_map(
     gaussians: &Gaussians,
     results: &StagedFolder<'_>,
     name: &str,

@@ -18,6 +18,7 @@ mod keyframes;
 mod loops;
 mod map_alignment;
 mod mapper;
+mod merge;
 mod missing;
 mod motion;
 mod moving;

@@ -13,6 +13,7 @@ use crate::config::{MappingConfig, SlamConfig};
 use crate::image_memory;
 use crate::keyframes::Keyframe;
 use crate::map_alignment::{FrameToAlign, MapReference};
+use crate::merge::Renumbering;
 use crate::missing::missing_region;
 use crate::prepare::PreparedKeyframe;
 use crate::refinement::Rounds;
@@ -84,6 +85,14 @@ impl MapperState {
     /// What was counted begins anew.
     pub fn forget_counts(&mut self) {
         self.steps = 0;
+    }
+
+    /// Takes in what is known of another map.
+    pub fn append(&mut self, other: Self, renumbering: Renumbering) {
+        let views = other.views.into_iter();
+        self.views
+            .extend(views.map(|(id, index)| (renumbering.keyframe(id), index)));
+        self.reference = None;
     }
 }
 

@@ -23,8 +23,6 @@ const SEED: u64 = 1;
 #[derive(Default)]
 pub struct Relocalizer {
     places: PlaceIndex,
-    /// What the newest keyframe shows.
-    newest_place: Option<PlaceDescriptor>,
     /// In the order they came, which is that of their ids.
     keyframes: Vec<KnownPlace>,
     /// The last frame with a trusted pose.
@@ -66,7 +64,6 @@ impl Relocalizer {
         let place = PlaceDescriptor::new(frame);
         let most_similar = self.places.most_similar(&place, 1);
         self.places.add(keyframe.id, &place);
-        self.newest_place = Some(place);
         self.keyframes.push(KnownPlace {
             id: keyframe.id,
             world_from_camera: keyframe.world_from_camera,
@@ -132,12 +129,9 @@ impl Relocalizer {
         heights.max_by(f64::total_cmp)
     }
 
-    /// All that are remembered, the one most like the newest first.
-    pub fn similar_to_newest(&self) -> Vec<Similar> {
-        let newest = self.newest_place.as_ref();
-        newest.map_or_else(Vec::new, |newest| {
-            self.places.most_similar(newest, self.keyframes.len())
-        })
+    /// All that are remembered, the one most like a frame first.
+    pub fn similar_to(&self, frame: &RgbdFrame) -> Vec<Similar> {
+        (self.places).most_similar(&PlaceDescriptor::new(frame), self.keyframes.len())
     }
 
     /// The pose of keyframe `b` in the axes of `a`, from the corners that they have in common.
@@ -241,7 +235,7 @@ mod tests {
                 .relative_pose(KeyframeId(0), KeyframeId(2))
                 .is_none()
         );
-        assert_eq!(relocalizer.similar_to_newest().len(), 4);
+        assert_eq!(relocalizer.similar_to(&frame).len(), 4);
         // The place is still found, by its first keyframe.
         assert_eq!(relocalizer.guesses_anywhere(&frame, &features).len(), 1);
         // However much the newest is like others, it stays.

@@ -4,13 +4,16 @@
 use std::time::Duration;
 
 use fgs_geom::{Camera, FrameIndex, KeyframeId, Se3};
-use fgs_graph::KeyframeGraph;
+use fgs_graph::{Edge, KeyframeGraph};
+use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
 use crate::frame_result::FrameResult;
 use crate::holdout::Holdout;
 use crate::keyframes::KeyframeKind;
 use crate::loops::LoopCloser;
+use crate::merge::Renumbering;
+use crate::session::SlamError;
 use crate::submaps::Submaps;
 use crate::system::{MapReport, SavedMapping};
 use crate::tracker::SavedTracker;
@@ -110,6 +113,51 @@ impl SavedSession {
             localizes_only: true,
             ..self
         }
+    }
+
+    /// The number that the next keyframe has; `None` if there is no keyframe.
+    pub(crate) fn next_keyframe(&self) -> Option<KeyframeId> {
+        let (newest, ..) = self.keyframes.last()?;
+        Some(KeyframeId(newest.0.saturating_add(1)))
+    }
+
+    /// This map with another, whose sub-maps are further ones of it and whose keyframes are numbered on from
+    /// its own. All stay where they are; `away` says where the other is about to go, metres.
+    ///
+    /// # Errors
+    /// If the two are of different cameras, or their numbers do not suffice.
+    pub(crate) fn beside(mut self, other: Self, away: Vector3<f64>) -> Result<Self, SlamError> {
+        if self.camera != other.camera {
+            return Err(SlamError::OtherCameras {
+                first: Box::new(self.camera),
+                second: Box::new(other.camera),
+            });
+        }
+        let renumbering = Renumbering {
+            keyframes: self.next_keyframe().map_or(0, |next| next.0),
+            sparse: self.tracker.next_point(),
+        };
+        let renumbered = |id| renumbering.keyframe(id);
+        for (id, pose) in other.graph.poses() {
+            self.graph.add_keyframe(renumbered(id), *pose);
+        }
+        for edge in other.graph.edges() {
+            let edge = Edge {
+                from: renumbered(edge.from),
+                to: renumbered(edge.to),
+                ..edge.clone()
+            };
+            let added = self.graph.add_edge(edge);
+            added.map_err(|_| SlamError::Inconsistent)?;
+        }
+        let keyframes = other.keyframes.iter();
+        self.keyframes
+            .extend(keyframes.map(|(id, kind, index)| (renumbered(*id), *kind, *index)));
+        self.submaps.append(other.submaps, renumbering, away);
+        self.tracker.append(other.tracker, renumbering);
+        self.mapping.append(other.mapping, renumbering);
+        self.report.append(other.report, renumbering);
+        Ok(self)
     }
 
     /// Whether it can be the state of a session: names of keyframes agree, and what has images or

@@ -139,6 +139,18 @@ pub enum SlamError {
         /// The session's.
         session: Box<Camera>,
     },
+    /// Two maps are of different cameras.
+    #[error(
+        "the maps are of different cameras: {}x{} with fx = {} and {}x{} with fx = {}",
+        first.width, first.height, first.intrinsics.fx,
+        second.width, second.height, second.intrinsics.fx
+    )]
+    OtherCameras {
+        /// Of the first map.
+        first: Box<Camera>,
+        /// Of the second.
+        second: Box<Camera>,
+    },
     /// The frame's images or values were changed into something impossible.
     #[error(transparent)]
     Frame(#[from] FrameError),
@@ -338,7 +350,7 @@ impl Slam {
         }
         let frame = Arc::new(frame);
         self.tracker.remove_points(&self.map.take_removed());
-        take_moved(&self.map, &mut self.graph, &mut self.tracker, &self.events);
+        self.take_moves();
         take_aligned(&self.map, &mut self.frames);
         let admission = self.admission(frame.index);
         let tracker = &mut self.tracker;
@@ -369,8 +381,10 @@ impl Slam {
         self.record(result.clone(), None);
         self.events.publish_images(&frame);
         self.mapping.after_frame(tracked.work)?;
-        if let Some((id, _, frame)) = keyframe {
-            self.close_loop(id, &frame)?;
+        if let Some((id, _, frame)) = keyframe
+            && self.closes_loops
+        {
+            self.find_loop(id, &frame)?;
         }
         Ok(result)
     }
@@ -570,12 +584,24 @@ impl Slam {
         }
     }
 
-    /// Takes out what has drifted since the camera was last where a new keyframe finds it.
-    fn close_loop(&mut self, id: KeyframeId, frame: &RgbdFrame) -> Result<(), SlamError> {
-        if !self.closes_loops {
-            return Ok(());
-        }
+    /// Takes over where the mapper put keyframes.
+    pub(crate) fn take_moves(&mut self) {
         take_moved(&self.map, &mut self.graph, &mut self.tracker, &self.events);
+    }
+
+    /// Whether a keyframe from a number on is in a sub-map with one before it.
+    pub(crate) fn has_joined(&self, begin: KeyframeId) -> bool {
+        let submaps_of = |is_wanted: &dyn Fn(KeyframeId) -> bool| {
+            let ids = self.graph.poses().map(|(id, _)| id);
+            let ids = ids.filter(|id| is_wanted(*id));
+            ids.map(|id| self.submaps.of(id)).collect::<BTreeSet<_>>()
+        };
+        !submaps_of(&|id| id < begin).is_disjoint(&submaps_of(&|id| id >= begin))
+    }
+
+    /// Takes out what has drifted since the camera was last where a keyframe finds it.
+    pub(crate) fn find_loop(&mut self, id: KeyframeId, frame: &RgbdFrame) -> Result<(), SlamError> {
+        self.take_moves();
         let memory = self.tracker.memory();
         let Some(correction) = (self.loops).close(id, frame, &self.graph, &self.submaps, &memory)
         else {

@@ -11,6 +11,8 @@ use fgs_gicp::{Point, PointMap};
 use fgs_splat::SparseId;
 use serde::{Deserialize, Serialize};
 
+use crate::merge::Renumbering;
+
 /// Side of the point map's cells as a multiple of the search distance. Affects speed only: from 3
 /// to 6 it makes no difference; at 1 tracking takes twice as long.
 const CELL_DISTANCES: f32 = 4.0;
@@ -29,6 +31,26 @@ pub struct SavedSparseMap {
     points: Vec<(u64, Point)>,
     anchors: Vec<(u32, KeyframeId)>,
     next_id: u32,
+}
+
+impl SavedSparseMap {
+    /// The number of the next point.
+    pub fn next_id(&self) -> u32 {
+        self.next_id
+    }
+
+    /// Takes in another map.
+    pub fn append(&mut self, other: Self, renumbering: Renumbering) {
+        let points = other.points.into_iter();
+        self.points
+            .extend(points.map(|(id, point)| (id.saturating_add(self.next_id.into()), point)));
+        let anchors = other.anchors.into_iter().map(|(first, anchor)| {
+            let SparseId(first) = renumbering.sparse(SparseId(first));
+            (first, renumbering.keyframe(anchor))
+        });
+        self.anchors.extend(anchors);
+        self.next_id = self.next_id.saturating_add(other.next_id);
+    }
 }
 
 impl SparseMap {

@@ -13,6 +13,8 @@ use fgs_geom::KeyframeId;
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
+use crate::merge::Renumbering;
+
 /// A new sub-map begins so far above all that is known, metres. Farther than any building is high, and near
 /// enough for single precision to tell a hundredth of a millimetre. Above, since cameras hardly look there.
 pub const APART_M: f64 = 100.0;
@@ -63,6 +65,16 @@ impl Submaps {
             }
         }
         self.runs.dedup_by_key(|(_, submap)| *submap);
+    }
+
+    /// Takes in the sub-maps of another session's keyframes, which are about to go `away`, metres.
+    pub fn append(&mut self, other: Self, renumbering: Renumbering, away: Vector3<f64>) {
+        let before = self.origins.len();
+        let runs = other.runs.into_iter();
+        self.runs
+            .extend(runs.map(|(id, submap)| (renumbering.keyframe(id), before + submap)));
+        self.origins
+            .extend(other.origins.into_iter().map(|origin| origin + away));
     }
 
     /// Where the axes of a sub-map have their origin, metres in the session's.

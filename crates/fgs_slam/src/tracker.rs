@@ -29,6 +29,7 @@ use crate::frame_result::TrackingQuality;
 use crate::keyframes::{Admission, FrameWork, Keyframe, KeyframeKind, KeyframePolicy, NewPoint};
 use crate::loops::Memory;
 use crate::map_alignment::FrameToAlign;
+use crate::merge::Renumbering;
 use crate::motion::MotionModel;
 use crate::moving::{Moving, MovingThings};
 use crate::registrar::{Attempt, Known, Located, Measured, Registrar, Start, shared};
@@ -141,6 +142,16 @@ impl SavedTracker {
             footing: Footing::Lost { followed: 0 },
             ..Self::default()
         };
+    }
+
+    /// The number of the next sparse point.
+    pub fn next_point(&self) -> u32 {
+        self.map.next_id()
+    }
+
+    /// Takes in another's sparse map.
+    pub fn append(&mut self, other: Self, renumbering: Renumbering) {
+        self.map.append(other.map, renumbering);
     }
 
     /// Whether what it remembers is of a camera.

@@ -162,6 +162,13 @@ impl Adam {
         self.steps.resize(len, 0);
     }
 
+    /// Appends the state of other gaussians.
+    pub(crate) fn append(&mut self, other: Self) {
+        self.first.extend(other.first);
+        self.second.extend(other.second);
+        self.steps.extend(other.steps);
+    }
+
     /// Keeps the state of the gaussians i with `keep[i]`, in order.
     ///
     /// # Panics

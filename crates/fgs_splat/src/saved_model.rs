@@ -38,7 +38,47 @@ pub struct SavedView {
     pub visible: Vec<u32>,
 }
 
+/// A set of numbers as bits, each number raised, in so many words.
+fn moved_up(bits: &[u32], by: usize, words: usize) -> Vec<u32> {
+    let (whole, rest) = (by / 32, by % 32);
+    let word = |at: usize| u64::from(bits.get(at).copied().unwrap_or(0));
+    let moved = |at: usize| {
+        let low = at.checked_sub(1).map_or(0, word);
+        (((word(at) << 32 | low) << rest) >> 32) as u32
+    };
+    let all = (0..words).map(|at| at.checked_sub(whole).map_or(0, moved));
+    all.collect()
+}
+
 impl SavedModel {
+    /// Takes in another model, whose keyframes and sparse points get other names. Views that both have are not
+    /// told apart.
+    pub fn append(
+        &mut self,
+        other: Self,
+        keyframe: impl Fn(KeyframeId) -> KeyframeId,
+        sparse: impl Fn(SparseId) -> SparseId,
+    ) {
+        let before = self.gaussians.len();
+        self.gaussians.extend(&other.gaussians);
+        let ids = other.sparse_ids.into_iter();
+        self.sparse_ids.extend(ids.map(|id| id.map(&sparse)));
+        self.anchors
+            .extend(other.anchors.into_iter().map(&keyframe));
+        self.adam.append(other.adam);
+        self.removed.extend(other.removed.into_iter().map(&sparse));
+        let words = self.gaussians.len().div_ceil(32);
+        for saved in &mut self.views {
+            saved.visible.resize(words, 0);
+        }
+        self.views
+            .extend(other.views.into_iter().map(|saved| SavedView {
+                id: keyframe(saved.id),
+                visible: moved_up(&saved.visible, before, words),
+                ..saved
+            }));
+    }
+
     /// Rejects what no model can have saved.
     pub(crate) fn check(&self, targets: &[Target]) -> Result<(), ModelError> {
         let count = self.sparse_ids.len();
@@ -71,5 +111,27 @@ impl SavedModel {
             }
         }
         Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn members(bits: &[u32]) -> Vec<usize> {
+        let numbers = 0..32 * bits.len();
+        let is_member = |i: &usize| bits[i / 32] >> (i % 32) & 1 == 1;
+        numbers.filter(is_member).collect()
+    }
+
+    #[test]
+    fn members_of_a_set_are_raised() {
+        let bits = [0x8000_0001, 0xf000_0000, 0x1];
+        for by in [0, 1, 31, 32, 33, 64, 95] {
+            let words = (65_usize + by).div_ceil(32);
+            let moved = moved_up(&bits, by, words);
+            let expected: Vec<usize> = members(&bits).iter().map(|i| i + by).collect();
+            assert_eq!((members(&moved), moved.len()), (expected, words), "{by}");
+        }
     }
 }

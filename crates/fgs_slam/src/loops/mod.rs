@@ -64,7 +64,7 @@ impl LoopCloser {
     ) -> Option<Correction> {
         let ways = Ways::from(graph, id);
         (self.waiting).retain(|revisit| ways.to(revisit.new) <= PATIENCE_M);
-        let similar = memory.places.similar_to_newest();
+        let similar = memory.places.similar_to(frame);
         let candidates = candidates(id, &similar, &ways, graph, memory);
         let apart = candidates_apart(id, &similar, submaps);
         if candidates.is_empty() && apart.is_empty() {

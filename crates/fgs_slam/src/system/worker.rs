@@ -17,6 +17,7 @@ use crate::config::SlamConfig;
 use crate::event::{Addition, EventHub, SlamEvent};
 use crate::keyframes::{FrameWork, Keyframe};
 use crate::mapper::{Mapper, MapperError, MapperState};
+use crate::merge::Renumbering;
 use crate::prepare::PreparedKeyframe;
 use crate::refinement::RefinedMap;
 
@@ -43,6 +44,16 @@ impl MapReport {
     /// Frames are none of this session's.
     pub fn forget_frames(&mut self) {
         self.aligned.clear();
+    }
+
+    /// Takes in what another map has to tell.
+    pub fn append(&mut self, other: Self, renumbering: Renumbering) {
+        let removed = other.removed.into_iter();
+        self.removed
+            .extend(removed.map(|id| renumbering.sparse(id)));
+        let moved = other.moved.into_iter();
+        self.moved
+            .extend(moved.map(|(id, motion)| (renumbering.keyframe(id), motion)));
     }
 }
 
@@ -143,6 +154,13 @@ impl SavedMapping {
     pub fn is_of(&self, camera: &Camera) -> bool {
         let mut views = self.model.views.iter();
         views.all(|saved| saved.view.camera == *camera)
+    }
+
+    /// Takes in another map.
+    pub fn append(&mut self, other: Self, renumbering: Renumbering) {
+        let keyframe = |id| renumbering.keyframe(id);
+        (self.model).append(other.model, keyframe, |id| renumbering.sparse(id));
+        self.mapper.append(other.mapper, renumbering);
     }
 
     /// What was counted begins anew.
