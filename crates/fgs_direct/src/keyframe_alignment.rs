@@ -9,7 +9,7 @@
 use fgs_geom::Se3;
 use nalgebra::{Matrix2, Matrix2x6, Matrix6, Vector2, Vector6};
 
-use crate::residual::{brightness, noise_of};
+use crate::residual::{brightness, by_pose, noise_of};
 use crate::{IntensityImage, IntensityPyramid, Reference, ReferencePoint};
 
 /// Degrees of freedom of the residuals' distribution, as measured on RGB-D cameras (Kerl, Sturm and
@@ -28,6 +28,9 @@ const TRANSLATION_EPSILON_M: f64 = 1e-5;
 
 /// With fewer points the noise of the residuals cannot be told.
 const MIN_POINTS: usize = 50;
+
+/// In a direction in which less of the information is shown by both images, it is noise; twice as much is not.
+const NOISE: f64 = 0.15;
 
 /// How sure it is, before looking, that two images are of one exposure: standard deviations.
 const GAIN_SIGMA: f64 = 0.2;
@@ -54,7 +57,8 @@ pub struct PosePrior {
 pub struct PhotometricAlignment {
     /// The pose.
     pub world_from_camera: Se3,
-    /// Inverse covariance of the pose by the points' brightness alone, `[omega, v]`.
+    /// Inverse covariance of the pose by the points' brightness alone, `[omega, v]`: of what both images
+    /// show. Noise has gradients too, but not the same in both.
     pub information: Matrix6<f64>,
     /// Standard deviation of a residual at the finest level, brightness from 0 to 1.
     pub noise: f64,
@@ -97,6 +101,7 @@ pub fn align_with_keyframes(
         if pairs.len() < references.len() {
             continue;
         }
+        let mut residuals_noise = None;
         for _ in 0..MAX_ITERATIONS {
             let rows: Vec<Vec<Row>> = pairs.iter().map(|pair| pair.rows(image, &pose)).collect();
             let Some(noise) = noise(&rows, &exposures) else {
@@ -112,18 +117,26 @@ pub fn align_with_keyframes(
             for (exposure, solved) in exposures.iter_mut().zip(&system.exposures) {
                 exposure.update(solved, &step);
             }
-            result = Some(PhotometricAlignment {
-                world_from_camera: pose,
-                information: system.information,
-                noise,
-                points: system.points,
-                contradicts_prior: false,
-            });
+            residuals_noise = Some(noise);
             if step.fixed_rows::<3>(0).norm() < ROTATION_EPSILON_RAD
                 && step.fixed_rows::<3>(3).norm() < TRANSLATION_EPSILON_M
             {
                 break;
             }
+        }
+        if let Some(noise) = residuals_noise {
+            let rows: Vec<Vec<Row>> = pairs.iter().map(|pair| pair.rows(image, &pose)).collect();
+            let off = (prior.world_from_camera.inverse() * pose).log();
+            let claimed = information(&rows, &exposures, noise, |row| row.by_here);
+            let information = information(&rows, &exposures, noise, |row| row.by_there);
+            pose = prior.world_from_camera * Se3::exp(&(held_share(&claimed, &information) * off));
+            result = Some(PhotometricAlignment {
+                world_from_camera: pose,
+                information,
+                noise,
+                points: rows.iter().map(Vec::len).sum(),
+                contradicts_prior: false,
+            });
         }
     }
     result.map(|aligned: PhotometricAlignment| {
@@ -176,11 +189,12 @@ impl Exposure {
     }
 }
 
-/// A point's brightness in the reference and in the image, and the latter's derivative by the pose.
+/// A point's brightness in the reference and in the image, and their derivatives by the pose.
 struct Row {
     there: f64,
     here: f64,
-    jacobian: Vector6<f64>,
+    by_there: Vector6<f64>,
+    by_here: Vector6<f64>,
 }
 
 impl Pair<'_> {
@@ -190,11 +204,15 @@ impl Pair<'_> {
         let rotation = camera_from_reference.rotation.to_rotation_matrix();
         let row = |point: &ReferencePoint| {
             let position = rotation * point.position + camera_from_reference.translation;
-            let (here, jacobian) = brightness(image, &position)?;
+            let (here, by_here) = brightness(image, &position)?;
+            // Along the ray nothing changes.
+            let gradient = rotation * point.gradient.cast::<f64>();
+            let along = gradient.dot(&position) / position.norm_squared();
             Some(Row {
                 there: point.intensity.into(),
                 here,
-                jacobian,
+                by_there: by_pose(&(gradient - along * position), &position),
+                by_here,
             })
         };
         self.points.iter().filter_map(row).collect()
@@ -211,12 +229,66 @@ fn noise(rows: &[Vec<Row>], exposures: &[Exposure]) -> Option<f64> {
     (sizes.len() >= MIN_POINTS).then(|| noise_of(&mut sizes).max(MIN_NOISE))
 }
 
+/// Weight of a residual: inverse variance, less for outliers.
+fn weight(residual: f64, noise: f64) -> f64 {
+    (STUDENT_T + 1.0) / (STUDENT_T + (residual / noise).powi(2)) / (noise * noise)
+}
+
+/// What points say of the pose, `[omega, v]`, gains and offsets eliminated: the products of each point's
+/// gradient in the image with another of its gradients. With the same one, noise would count as knowledge:
+/// before a bare wall that is all there is. The noise of two images is independent, so that it vanishes from
+/// the products of their gradients.
+fn information(
+    rows: &[Vec<Row>],
+    exposures: &[Exposure],
+    noise: f64,
+    other: impl Fn(&Row) -> Vector6<f64>,
+) -> Matrix6<f64> {
+    let mut information = Matrix6::zeros();
+    for (rows, exposure) in rows.iter().zip(exposures) {
+        let (mut by_exposure, mut mixed) = (exposure_prior(), Matrix2x6::zeros());
+        for row in rows {
+            let weight = weight(exposure.residual(row), noise);
+            let other = other(row);
+            information += weight * row.by_here * other.transpose();
+            let affine = Vector2::new(-row.there, -1.0);
+            by_exposure += weight * affine * affine.transpose();
+            mixed += 0.5 * weight * affine * (row.by_here + other).transpose();
+        }
+        let inverse = by_exposure.try_inverse().unwrap_or_else(Matrix2::zeros);
+        information -= mixed.transpose() * inverse * mixed;
+    }
+    let eigen = (0.5 * (information + information.transpose())).symmetric_eigen();
+    let known = eigen.eigenvalues.map(|known| known.max(0.0));
+    eigen.eigenvectors * Matrix6::from_diagonal(&known) * eigen.eigenvectors.transpose()
+}
+
+/// The part of a motion that was found in directions that are known, given the information that was `claimed`
+/// while looking for it and what is truly `known`.
+fn held_share(claimed: &Matrix6<f64>, known: &Matrix6<f64>) -> Matrix6<f64> {
+    let Some(lower) = claimed.cholesky().map(|cholesky| cholesky.l()) else {
+        return Matrix6::identity();
+    };
+    let Some(by_lower) = lower.try_inverse() else {
+        return Matrix6::identity();
+    };
+    let eigen = (by_lower * known * by_lower.transpose()).symmetric_eigen();
+    let shares = (eigen.eigenvalues).map(|share| ((share - NOISE) / NOISE).clamp(0.0, 1.0));
+    let whitened =
+        eigen.eigenvectors * Matrix6::from_diagonal(&shares) * eigen.eigenvectors.transpose();
+    by_lower.transpose() * whitened * lower.transpose()
+}
+
+/// The information on gain and offset before looking.
+fn exposure_prior() -> Matrix2<f64> {
+    Matrix2::from_diagonal(&Vector2::new(GAIN_SIGMA.powi(-2), OFFSET_SIGMA.powi(-2)))
+}
+
 /// The normal equations, gains and offsets eliminated (Schur complement).
 struct System {
     information: Matrix6<f64>,
     gradient: Vector6<f64>,
     exposures: Vec<ExposureSystem>,
-    points: usize,
 }
 
 impl System {
@@ -225,26 +297,21 @@ impl System {
             information: Matrix6::zeros(),
             gradient: Vector6::zeros(),
             exposures: Vec::new(),
-            points: 0,
         };
         for (rows, exposure) in rows.iter().zip(exposures) {
-            // The prior on gain and offset.
-            let mut by_exposure =
-                Matrix2::from_diagonal(&Vector2::new(GAIN_SIGMA.powi(-2), OFFSET_SIGMA.powi(-2)));
+            let mut by_exposure = exposure_prior();
             let mut gradient = by_exposure * Vector2::new(exposure.gain - 1.0, exposure.offset);
             let mut by_pose = Matrix2x6::zeros();
             for row in rows {
                 let residual = exposure.residual(row);
-                let weight =
-                    (STUDENT_T + 1.0) / (STUDENT_T + (residual / noise).powi(2)) / (noise * noise);
-                let weighted = weight * row.jacobian;
-                system.information += weighted * row.jacobian.transpose();
+                let weight = weight(residual, noise);
+                let weighted = weight * row.by_here;
+                system.information += weighted * row.by_here.transpose();
                 system.gradient += residual * weighted;
                 let affine = Vector2::new(-row.there, -1.0);
                 by_exposure += weight * affine * affine.transpose();
                 gradient += weight * residual * affine;
                 by_pose += affine * weighted.transpose();
-                system.points += 1;
             }
             // The prior makes it invertible.
             let inverse_hessian = by_exposure.try_inverse().unwrap_or_else(Matrix2::zeros);

@@ -4,6 +4,7 @@ use fgs_geom::{Camera, Image, has_depth};
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
+use crate::residual::gradient_by_point;
 use crate::{IntensityImage, IntensityPyramid};
 
 /// Side of a selection cell. At most one point is taken per cell, so that the points are spread
@@ -24,6 +25,8 @@ pub struct ReferencePoint {
     pub position: Vector3<f64>,
     /// Brightness, 0 to 1.
     pub intensity: f32,
+    /// How brightness changes where the point moves, per metre, in the reference camera frame.
+    pub gradient: Vector3<f32>,
 }
 
 /// The reference for photometric alignment: points of a keyframe for each pyramid level.
@@ -75,18 +78,28 @@ fn points(image: &IntensityImage, depth_m: &Image<f32>, size: usize) -> Vec<Refe
                     strongest = (strength, Some((u, v)));
                 }
             }
-            points.extend(strongest.1.map(|(u, v)| ReferencePoint {
-                position: (image.camera).unproject(u as f64, v as f64, depth_at(u, v).into()),
-                intensity: image.pixels().at(u, v),
+            points.extend(strongest.1.map(|(u, v)| {
+                let position = (image.camera).unproject(u as f64, v as f64, depth_at(u, v).into());
+                let [du, dv] = gradient(image.pixels(), u, v);
+                ReferencePoint {
+                    position,
+                    intensity: image.pixels().at(u, v),
+                    gradient: gradient_by_point(image, &position, [du, dv]).cast(),
+                }
             }));
         }
     }
     points
 }
 
-/// Squared gradient magnitude by central differences; NaN next to invalid pixels.
-fn squared_gradient(pixels: &Image<f32>, u: usize, v: usize) -> f32 {
+/// Gradient per pixel by central differences; NaN next to invalid pixels.
+fn gradient(pixels: &Image<f32>, u: usize, v: usize) -> [f32; 2] {
     let du = 0.5 * (pixels.at(u + 1, v) - pixels.at(u - 1, v));
     let dv = 0.5 * (pixels.at(u, v + 1) - pixels.at(u, v - 1));
+    [du, dv]
+}
+
+fn squared_gradient(pixels: &Image<f32>, u: usize, v: usize) -> f32 {
+    let [du, dv] = gradient(pixels, u, v);
     du * du + dv * dv
 }

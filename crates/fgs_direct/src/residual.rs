@@ -28,22 +28,39 @@ pub(crate) fn brightness(
         intrinsics.fx * x + intrinsics.cx,
         intrinsics.fy * y + intrinsics.cy,
     )?;
+    let by_point = gradient_by_point(image, point, [du, dv]);
+    Some((f64::from(value), by_pose(&by_point, point)))
+}
+
+/// The derivative of a point's brightness by its position in the camera frame, given that by pixels.
+#[inline]
+pub(crate) fn gradient_by_point(
+    image: &IntensityImage,
+    point: &Vector3<f64>,
+    [du, dv]: [f32; 2],
+) -> Vector3<f64> {
+    let intrinsics = &image.camera.intrinsics;
+    let per_z = 1.0 / point.z;
     let (gx, gy) = (
         f64::from(du) * intrinsics.fx * per_z,
         f64::from(dv) * intrinsics.fy * per_z,
     );
-    let by_point = Vector3::new(gx, gy, -(gx * x + gy * y));
+    Vector3::new(gx, gy, -(gx * point.x + gy * point.y) * per_z)
+}
+
+/// The derivative by the pose, given that by the point's position.
+#[inline]
+pub(crate) fn by_pose(by_point: &Vector3<f64>, point: &Vector3<f64>) -> Vector6<f64> {
     // by_point . (-omega x p) = omega . (by_point x p)
     let by_rotation = by_point.cross(point);
-    let jacobian = Vector6::new(
+    Vector6::new(
         by_rotation.x,
         by_rotation.y,
         by_rotation.z,
         -by_point.x,
         -by_point.y,
         -by_point.z,
-    );
-    Some((f64::from(value), jacobian))
+    )
 }
 
 /// Standard deviation of Gaussian noise whose absolute values have the median of these; 0 if there are

@@ -101,6 +101,9 @@ pub enum Admission {
     HeldOut,
 }
 
+/// Where little holds the camera, a keyframe comes at least so many frames after another.
+const FRAMES_BETWEEN_HOLDS: usize = 3;
+
 /// Decides frame by frame.
 pub struct KeyframePolicy {
     min_overlap_share: f64,
@@ -125,20 +128,22 @@ impl KeyframePolicy {
     }
 
     /// What the next tracked frame becomes, given the share of its points that overlap the sparse
-    /// map, and whether the camera hardly sees any more what the newest keyframe shows. The first frame
-    /// is always a tracking keyframe. One that is not `allowed` is put off to
-    /// the next frame.
+    /// map, whether the camera hardly sees any more what the newest keyframe shows, and whether what it
+    /// sees hardly holds it. The first frame is always a tracking keyframe. One that is not `allowed` is put
+    /// off to the next frame.
     pub fn decide(
         &mut self,
         overlap_share: f64,
         has_left_newest: bool,
+        is_slipping: bool,
         allowed: bool,
     ) -> Option<KeyframeKind> {
         let kind = match &mut self.frames_since_keyframe {
             None => Some(KeyframeKind::Tracking),
             Some(frames) => {
                 *frames += 1;
-                if overlap_share < self.min_overlap_share {
+                let must_hold = is_slipping && *frames >= FRAMES_BETWEEN_HOLDS;
+                if overlap_share < self.min_overlap_share || must_hold {
                     Some(KeyframeKind::Tracking)
                 } else {
                     (has_left_newest || *frames >= self.mapping_every)
@@ -170,8 +175,19 @@ mod tests {
         let mut policy = KeyframePolicy::new(&KeyframeConfig::default(), None);
         let overlap = |i: usize| if i == 13 || i == 14 { 0.79 } else { 0.8 };
         (0..40)
-            .filter_map(|i| Some((i, policy.decide(overlap(i), has_left(i), allowed(i))?)))
+            .filter_map(|i| {
+                let kind = policy.decide(overlap(i), has_left(i), false, allowed(i));
+                Some((i, kind?))
+            })
             .collect()
+    }
+
+    #[test]
+    fn what_little_holds_is_remembered_but_not_with_every_frame() {
+        let mut policy = KeyframePolicy::new(&KeyframeConfig::default(), None);
+        let decide = |i: usize| Some((i, policy.decide(1.0, false, (5..9).contains(&i), true)?));
+        let keyframes: Vec<_> = (0..12).filter_map(decide).collect();
+        assert_eq!(keyframes, [(0, Tracking), (5, Tracking), (8, Tracking)]);
     }
 
     #[test]

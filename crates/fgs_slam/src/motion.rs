@@ -17,10 +17,16 @@ const NOMINAL_INTERVAL_SECS: f64 = 1.0 / 30.0;
 /// where it was last seen.
 const HORIZON_SECS: f64 = 0.5;
 
+/// For so long the motion model is believed where nothing else holds the camera: walking people change their
+/// velocity by 2 m/s in a second, which makes 4 cm.
+const MAX_COAST_SECS: f64 = 0.2;
+
 /// Predicts where the camera is next.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
 pub struct MotionModel {
     last: Option<TimedPose>,
+    /// When depth and colour last held the camera.
+    held_secs: Option<f64>,
     /// Twist `[omega, v]` in the camera's axes, rad/s and m/s.
     velocity: Vector6<f64>,
 }
@@ -74,8 +80,17 @@ impl MotionModel {
         }
     }
 
-    /// A frame was tracked.
-    pub fn observe(&mut self, world_from_camera: Se3, timestamp_secs: f64) {
+    /// Whether nothing has held the camera for too long.
+    pub fn has_coasted(&self, timestamp_secs: f64) -> bool {
+        let held_secs = self.held_secs;
+        held_secs.is_some_and(|held_secs| timestamp_secs - held_secs > MAX_COAST_SECS)
+    }
+
+    /// A frame was tracked; `is_held` by depth and colour, or only by this model.
+    pub fn observe(&mut self, world_from_camera: Se3, timestamp_secs: f64, is_held: bool) {
+        if is_held || self.held_secs.is_none() {
+            self.held_secs = Some(timestamp_secs);
+        }
         self.velocity = self.velocity_to(&world_from_camera, timestamp_secs);
         self.last = Some(TimedPose {
             world_from_camera,
@@ -119,7 +134,7 @@ mod tests {
                 // A prediction by frames would be off by half a frame's motion at least.
                 assert!(distance(&pose(secs), &pose(secs - 0.5 / 30.0)) >= 0.02);
             }
-            motion.observe(pose(secs), secs);
+            motion.observe(pose(secs), secs, true);
         }
     }
 
@@ -128,7 +143,7 @@ mod tests {
         for stamps in [[7.0; 4], [f64::NAN; 4], [9.0, 8.0, 7.0, 6.0]] {
             let mut motion = MotionModel::default();
             for (i, stamp) in stamps[..3].iter().enumerate() {
-                motion.observe(pose(0.1 * i as f64), *stamp);
+                motion.observe(pose(0.1 * i as f64), *stamp, true);
             }
             let predicted = motion.predict(stamps[3]).unwrap();
             assert!(distance(&predicted, &pose(0.3)) <= 1e-9, "{stamps:?}");
@@ -138,10 +153,10 @@ mod tests {
     #[test]
     fn a_long_gap_forgets_the_velocity() {
         let mut motion = MotionModel::default();
-        motion.observe(pose(0.0), 0.0);
-        motion.observe(pose(0.1), 0.1);
+        motion.observe(pose(0.0), 0.0, true);
+        motion.observe(pose(0.1), 0.1, true);
         assert!(distance(&motion.predict(0.7).unwrap(), &pose(0.1)) <= 1e-12);
-        motion.observe(pose(2.0), 2.0);
+        motion.observe(pose(2.0), 2.0, true);
         assert!(distance(&motion.predict(2.1).unwrap(), &pose(2.0)) <= 1e-12);
     }
 
@@ -149,8 +164,8 @@ mod tests {
     fn a_moved_world_moves_the_prediction_alike() {
         let moved = Se3::exp(&Vector6::new(-0.2, 0.5, 0.9, 3.0, -1.0, 0.4));
         let mut motion = MotionModel::default();
-        motion.observe(pose(0.0), 0.0);
-        motion.observe(pose(0.1), 0.1);
+        motion.observe(pose(0.0), 0.0, true);
+        motion.observe(pose(0.1), 0.1, true);
         motion.move_world(&moved);
         assert!(distance(&motion.predict(0.2).unwrap(), &(moved * pose(0.2))) <= 1e-9);
     }

@@ -112,6 +112,13 @@ pub struct Attempt {
     pub relocalized_by: Option<KeyframeId>,
 }
 
+impl Attempt {
+    /// Whether more than the motion model says where the camera is.
+    pub fn is_held(&self) -> bool {
+        self.verdict == Verdict::Tracked || self.evidence.is_held()
+    }
+}
+
 /// Where a frame was taken.
 #[derive(Clone, Copy, Serialize, Deserialize)]
 pub struct Located {
@@ -194,12 +201,14 @@ impl Registrar {
         if frame.depth_sensor.readout_secs != 0.0 {
             // Where the rows were read from follows from the velocity, which a few steps tell.
             let roughly = self.align_roughly(&source, known.map, &from)?;
-            from = self.registered(&roughly, &source, start).world_from_depth;
+            from = self
+                .registered(&roughly, &source, known.map, start)
+                .world_from_depth;
             let velocity = known.motion.velocity_to(&from, seconds);
             source = self.disks(points, frame, &velocity);
         }
         let alignment = self.align(&source, known.map, &from)?;
-        let registered = self.registered(&alignment, &source, start);
+        let registered = self.registered(&alignment, &source, known.map, start);
         let evidence = Evidence {
             converged: alignment.converged,
             inliers: alignment.inliers,
@@ -224,10 +233,22 @@ impl Registrar {
     }
 
     /// The pose of a registration where its points hold the camera, the start where they do not.
-    fn registered(&self, alignment: &Alignment, source: &[Point], start: &Start) -> Registered {
-        let thickness = self.surface.disk_thickness;
-        let trust = self.config.depth_trust;
-        let held = trust * held_information(alignment, source, thickness, SENSOR_NOISE_M);
+    fn registered(
+        &self,
+        alignment: &Alignment,
+        source: &[Point],
+        map: &SparseMap,
+        start: &Start,
+    ) -> Registered {
+        let held = held_information(
+            alignment,
+            source,
+            map.points(),
+            self.surface.disk_thickness,
+            self.config.max_correspondence_distance_m,
+            SENSOR_NOISE_M,
+        );
+        let held = self.config.depth_trust * held;
         Registered {
             world_from_depth: fused_pose(
                 &alignment.target_from_source,

@@ -549,7 +549,9 @@ impl Tracker {
     fn believe(&mut self, attempt: &Attempt) -> Verdict {
         let own = attempt.verdict;
         let is_a_find = own == Verdict::Tracked && attempt.evidence.is_a_find();
-        if own == Verdict::Lost || !(is_a_find || matches!(self.footing, Footing::Firm)) {
+        let has_slid = !attempt.is_held() && self.motion.has_coasted(self.clock.now_secs());
+        let is_known = is_a_find || matches!(self.footing, Footing::Firm);
+        if own == Verdict::Lost || has_slid || !is_known {
             self.stumble();
             return Verdict::Lost;
         }
@@ -592,7 +594,8 @@ impl Tracker {
         let Attempt { located, frame, .. } = attempt;
         let color_from_depth = frame.depth_sensor.color_from_depth(&located.velocity);
         let world_from_depth = located.world_from_camera * color_from_depth;
-        self.motion.observe(world_from_depth, self.clock.now_secs());
+        let now_secs = self.clock.now_secs();
+        (self.motion).observe(world_from_depth, now_secs, attempt.is_held());
     }
 
     /// What a trusted frame gives the mapper: a keyframe, or a frame to align.
@@ -615,7 +618,8 @@ impl Tracker {
         let has_left = pyramid.as_ref().is_some_and(|pyramid| {
             (self.color).has_left_newest(pyramid, &located.world_from_camera)
         });
-        if let Some(kind) = self.policy.decide(overlap_share, has_left, allowed) {
+        let is_slipping = evidence.is_slipping();
+        if let Some(kind) = (self.policy).decide(overlap_share, has_left, is_slipping, allowed) {
             let made = self.make_keyframe(kind, &frame, &located, points);
             if let Some(pyramid) = &pyramid {
                 self.color.add(&made, pyramid);

@@ -33,6 +33,9 @@ const FOUND_INLIER_SHARE: f64 = 0.75;
 /// is the motion model's: a bare wall, a corridor along its axis. Right poses are below 2.5 mm.
 const MAX_UNCERTAINTY_M: f64 = 0.01;
 
+/// Beyond this the next frame may not be held any more.
+const SLIPPING_M: f64 = 0.4 * MAX_UNCERTAINTY_M;
+
 /// What to make of a pose.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 pub enum Verdict {
@@ -75,9 +78,19 @@ impl Evidence {
             _ if !registered => Verdict::Lost,
             Some(support) if support < MIN_SUPPORT => Verdict::Lost,
             Some(support) if support < GOOD_SUPPORT => Verdict::Weak,
-            _ if self.uncertainty_m > MAX_UNCERTAINTY_M => Verdict::Weak,
+            _ if !self.is_held() => Verdict::Weak,
             _ => Verdict::Tracked,
         }
+    }
+
+    /// Whether depth and colour say where the camera is, in every direction.
+    pub fn is_held(&self) -> bool {
+        self.uncertainty_m <= MAX_UNCERTAINTY_M
+    }
+
+    /// Whether they are about to lose hold of it, so that what it now sees should be remembered.
+    pub fn is_slipping(&self) -> bool {
+        self.uncertainty_m > SLIPPING_M
     }
 
     /// Whether it is worth looking for a better pose.
