@@ -75,6 +75,10 @@ pub struct TrackingQuality {
     pub residual_m: f64,
     /// How well the weakest direction is constrained relative to the strongest, 0 to 1.
     pub conditioning: f64,
+    /// Standard deviation of the position along its worst direction, by depth and colour alone, metres.
+    /// `None` if nothing was registered, as in the first frame, or the session was saved since.
+    #[serde(skip)]
+    pub uncertainty_m: Option<f64>,
     /// How the frame agrees with a keyframe in brightness and depth; `None` before the second frame and
     /// without colour in tracking.
     pub agreement: Option<Agreement>,
@@ -88,6 +92,7 @@ impl TrackingQuality {
         self.inliers = evidence.inliers;
         self.residual_m = evidence.residual_m;
         self.conditioning = evidence.conditioning;
+        self.uncertainty_m = (evidence.inliers > 0).then_some(evidence.uncertainty_m);
         self.agreement = evidence.agreement;
     }
 }
