@@ -23,6 +23,7 @@ from fgs_slam._fgs_slam import (
     Slam,
     SlamResult,
     Trajectory,
+    export,
     run,
     synth,
 )
@@ -64,6 +65,7 @@ __all__ = [
     "Trajectory",
     "errors",
     "evaluate",
+    "export",
     "frequency",
     "gicp",
     "run",

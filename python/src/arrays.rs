@@ -9,6 +9,7 @@ use numpy::{
     PyReadonlyArray, PyUntypedArray, PyUntypedArrayMethods, get_array_module,
 };
 use pyo3::prelude::*;
+use pyo3::types::IntoPyDict;
 
 use crate::errors::{SettingError, ShapeError};
 
@@ -38,7 +39,9 @@ fn float_array<'py, T: Element, D: Dimension>(
     if own.dtype().kind() != b'f' {
         return Err(unexpected(&own, name, expected));
     }
-    let converted = own.call_method1("astype", (numpy::dtype::<T>(value.py()),))?;
+    let as_it_is = [("copy", false)].into_py_dict(value.py())?;
+    let dtype = numpy::dtype::<T>(value.py());
+    let converted = own.call_method("astype", (dtype,), Some(&as_it_is))?;
     array(&converted, name, expected).map_err(|_| unexpected(&own, name, expected))
 }
 

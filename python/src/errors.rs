@@ -46,6 +46,7 @@ impl IntoPython for RunError {
             | Self::Assignment { .. }
             | Self::NotToml(_)
             | Self::Frames { .. }
+            | Self::VoxelSize(_)
             | Self::Camera(_) => SettingError::new_err(message),
             Self::NoDevice(_) => DeviceError::new_err(message),
             Self::Data(_)
@@ -55,9 +56,12 @@ impl IntoPython for RunError {
             | Self::NotOfMap { .. }
             | Self::NothingRead { .. } => DatasetError::new_err(message),
             Self::Slam(error) => error.into_python(),
+            Self::Export(error) => error.into_python(),
             Self::Eval(_) => EvaluationError::new_err(message),
             Self::Map(_)
             | Self::NotARun { .. }
+            | Self::NoCamera { .. }
+            | Self::BelongsToRun { .. }
             | Self::NoMap { .. }
             | Self::MapVersion { .. }
             | Self::MapDamaged { .. }

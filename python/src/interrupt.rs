@@ -1,5 +1,6 @@
 //! Long work on a thread of its own, while Python's signals are looked after and progress is told.
 
+use std::ops::ControlFlow;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
 use std::thread;
@@ -37,6 +38,15 @@ impl Desk<'_> {
     /// Whether to go on.
     pub fn goes_on(&self) -> bool {
         !self.stop.load(Ordering::Relaxed)
+    }
+
+    /// The same for loops.
+    pub fn flow(&self) -> ControlFlow<()> {
+        if self.goes_on() {
+            ControlFlow::Continue(())
+        } else {
+            ControlFlow::Break(())
+        }
     }
 }
 

@@ -7,6 +7,7 @@ mod camera;
 mod config;
 mod errors;
 mod evaluate;
+mod export;
 mod frequency;
 mod gaussians;
 mod gicp;
@@ -26,6 +27,7 @@ mod _fgs_slam {
         camera::Camera,
         config::Config,
         evaluate::{Ate, ate},
+        export::export,
         frequency::detail_mask,
         gaussians::{Gaussians, Render},
         gicp::{PyAlignment, align},

@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use fgs_run::{Backend, Plan, RunEvent, RunFolder, RunObserver, RunOptions, RunResult};
+use fgs_run::{Backend, Metrics, Plan, RunEvent, RunFolder, RunObserver, RunOptions, RunResult};
 use fgs_sensors::frames_to_measure;
 use fgs_slam::{Execution, Holdout};
 use pyo3::prelude::*;
@@ -148,7 +148,7 @@ impl RunObserver for Reporter<'_> {
 ///     FileError: it is not the folder of a run.
 #[pyclass(frozen, module = "fgs_slam")]
 pub struct Run {
-    path: PathBuf,
+    pub path: PathBuf,
 }
 
 impl Run {
@@ -170,6 +170,17 @@ impl Run {
     #[getter]
     fn path(&self) -> PathBuf {
         self.path.clone()
+    }
+
+    /// Reads the numbers of ``metrics.json``; ``psnr_valid_depth_db`` and the like are there once frames are scored.
+    ///
+    /// Raises:
+    ///     FileError: the file is missing or damaged.
+    fn metrics<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
+        let metrics = RunFolder::open(&self.path).and_then(|folder| Metrics::read(&folder));
+        let metrics = serde_json::to_string(&metrics.map_err(IntoPython::into_python)?);
+        let text = metrics.map_err(|error| RunFailure::new_err(error.to_string()))?;
+        py.import("json")?.call_method1("loads", (text,))
     }
 
     /// Reads the poses of the frames that are not lost.

@@ -1,6 +1,5 @@
 //! Synthetic recordings.
 
-use std::ops::ControlFlow;
 use std::path::PathBuf;
 
 use fgs_synth::{SensorModel, Sequence, SynthError, kinect_camera, write_tum};
@@ -57,11 +56,7 @@ pub fn synth(
         let sequence = Sequence::new(seed, frames, camera, sensor);
         write_tum(&sequence, &out, |done| {
             desk.report(("frames", done, frames));
-            if desk.goes_on() {
-                ControlFlow::Continue(())
-            } else {
-                ControlFlow::Break(())
-            }
+            desk.flow()
         })
     })?;
     match (written, raised) {

@@ -30,6 +30,8 @@
 //! With [`RunOptions::checkpoint_every_secs`] the run also leaves its map in a form that outlives it
 //! ([`MapFolder`]): another run goes on with it, or finds its camera in it.
 //!
+//! [`ExportOptions`] take a finished run to other programs, as `fgs export` does.
+//!
 //! What a run is scored by stands in one place, [`SCORES`].
 
 mod assignment;
@@ -38,6 +40,7 @@ mod checkpoints;
 mod drive;
 mod error;
 mod evaluation;
+mod export;
 mod frame_log;
 mod frame_range;
 mod map_folder;
@@ -59,6 +62,7 @@ mod settings;
 pub use backend::{Backend, Model};
 pub use error::RunError;
 pub use evaluation::score_images;
+pub use export::{ExportFormat, ExportOptions, Exported, UnknownFormat};
 pub use fgs_files::OutputFolder;
 pub use frame_log::FrameRow;
 pub use frame_range::FrameRange;
