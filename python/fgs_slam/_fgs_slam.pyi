@@ -1,4 +1,4 @@
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from os import PathLike
 from pathlib import Path
 from typing import Any, Literal, final
@@ -6,9 +6,31 @@ from typing import Any, Literal, final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+__all__ = [
+    "Alignment",
+    "Ate",
+    "Camera",
+    "Config",
+    "Gaussians",
+    "Pose",
+    "Recording",
+    "Render",
+    "Run",
+    "Slam",
+    "SlamResult",
+    "Trajectory",
+    "align",
+    "ate",
+    "detail_mask",
+    "export",
+    "run",
+    "synth",
+]
+
 _Path = str | PathLike[str]
 _Mode = Literal["lockstep", "parallel", "realtime"]
 _Backend = Literal["auto", "cpu", "gpu"]
+_Frame = tuple[NDArray[np.uint8], NDArray[np.float32], float]
 _Progress = Callable[[str, int, int], object]
 _Format = Literal[
     "ply",
@@ -155,7 +177,8 @@ class Recording:
     def camera(self) -> Camera: ...
     @property
     def ground_truth(self) -> Trajectory | None: ...
-    def __getitem__(self, index: int, /) -> tuple[NDArray[np.uint8], NDArray[np.float32], float]: ...
+    def __getitem__(self, index: int, /) -> _Frame: ...
+    def __iter__(self) -> Iterator[_Frame]: ...
     def __len__(self) -> int: ...
 
 @final
@@ -232,7 +255,7 @@ def synth(
     *,
     seed: int = 1,
     frames: int = 300,
-    size: tuple[int, int] = (640, 480),
+    size: tuple[int, int] = ...,
     noise: Literal["kinect", "none"] = "kinect",
     progress: _Progress | None = None,
 ) -> None: ...

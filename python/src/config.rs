@@ -21,11 +21,18 @@ use crate::errors::{IntoPython, SettingError};
 /// Raises:
 ///     SettingError: a setting is unknown or impossible; the message names it.
 #[pyclass(frozen, eq, module = "fgs_slam")]
-#[derive(PartialEq)]
 pub struct Config {
+    /// Where the settings come from.
     pub file: Option<PathBuf>,
     pub assignments: Vec<String>,
+    /// All of them.
     pub settings: Settings,
+}
+
+impl PartialEq for Config {
+    fn eq(&self, other: &Self) -> bool {
+        self.settings == other.settings
+    }
 }
 
 #[pymethods]

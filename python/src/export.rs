@@ -1,6 +1,5 @@
 //! A finished run in the formats of other programs.
 
-use std::ops::ControlFlow;
 use std::path::PathBuf;
 
 use fgs_export::ExportError;

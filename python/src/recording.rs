@@ -1,8 +1,10 @@
 //! Recordings on disk.
 
 use std::path::PathBuf;
+use std::sync::{Mutex, PoisonError};
 
-use fgs_data::{CameraFile, Dataset, OpenOptions};
+use fgs_data::{CameraFile, DataError, Dataset, FrameStream, OpenOptions};
+use fgs_geom::RgbdFrame;
 use numpy::{PyArray2, PyArray3};
 use pyo3::exceptions::PyIndexError;
 use pyo3::prelude::*;
@@ -69,13 +71,11 @@ impl Recording {
         };
         let index = index.filter(|index| *index < self.0.len());
         let index = index.ok_or_else(|| PyIndexError::new_err("there is no such frame"))?;
-        let frame = py.detach(|| self.0.frame(index));
-        let frame = frame.map_err(IntoPython::into_python)?;
-        Ok((
-            arrays::from_color(py, frame.color)?,
-            arrays::from_image(py, frame.depth_m)?,
-            frame.timestamp_secs,
-        ))
+        to_python(py, py.detach(|| self.0.frame(index)))
+    }
+
+    fn __iter__(&self) -> Frames {
+        Frames(Mutex::new(self.0.frames(0..self.0.len())))
     }
 
     fn __len__(&self) -> usize {
@@ -89,4 +89,29 @@ impl Recording {
             self.0.format()
         )
     }
+}
+
+/// The frames of a recording, decoded ahead.
+#[pyclass(frozen, module = "fgs_slam")]
+struct Frames(Mutex<FrameStream>);
+
+#[pymethods]
+impl Frames {
+    fn __iter__(this: PyRef<'_, Self>) -> PyRef<'_, Self> {
+        this
+    }
+
+    fn __next__<'py>(&self, py: Python<'py>) -> PyResult<Option<Frame<'py>>> {
+        let next = py.detach(|| self.0.lock().unwrap_or_else(PoisonError::into_inner).next());
+        next.map(|frame| to_python(py, frame)).transpose()
+    }
+}
+
+fn to_python(py: Python<'_>, frame: Result<RgbdFrame, DataError>) -> PyResult<Frame<'_>> {
+    let frame = frame.map_err(IntoPython::into_python)?;
+    Ok((
+        arrays::from_color(py, frame.color)?,
+        arrays::from_image(py, frame.depth_m)?,
+        frame.timestamp_secs,
+    ))
 }

@@ -17,7 +17,7 @@ use crate::interrupt::interruptible;
 ///     out: folder to write; must not exist.
 ///     seed: another seed gives another room and path.
 ///     frames: how many; 300 go once round the room.
-///     size: width and height, pixels.
+///     size: width and height, pixels; (640, 480) if left out.
 ///     noise: ``"kinect"`` or ``"none"``.
 ///     progress: called as ``progress("frames", done, total)``.
 ///

@@ -1,5 +1,6 @@
 """Whole recordings, as the command runs them."""
 
+import shutil
 import signal
 import subprocess
 import threading
@@ -17,7 +18,7 @@ def test_the_files_are_those_of_the_command(fgs: Path, room: Path, finished: fgs
     for name in ["trajectory.txt", "map.ply", "reference.txt"]:
         assert (out / name).read_bytes() == (finished.path / name).read_bytes(), name
     expected = fgs_slam.Run(out).metrics()
-    for key in ["num_gaussians", "psnr_valid_depth_db", "ate_rmse_cm"]:
+    for key in ["num_gaussians", "psnr_valid_depth_db", "ate_rmse_m"]:
         assert finished.metrics()[key] == expected[key], key
 
 
@@ -28,7 +29,7 @@ def test_what_a_run_leaves(finished: fgs_slam.Run, recording: fgs_slam.Recording
     ate = fgs_slam.evaluate.ate(trajectory, truth)
     metrics = finished.metrics()
     assert ate.pairs == 12
-    assert ate.rmse_m == pytest.approx(metrics["ate_rmse_cm"] / 100, rel=1e-6)
+    assert ate.rmse_m == pytest.approx(metrics["ate_rmse_m"], rel=1e-6)
     reference = finished.reference()
     assert reference is not None and len(reference) == 12
     assert len(finished.gaussians()) == metrics["num_gaussians"]
@@ -87,11 +88,12 @@ def test_settings_go_over_those_of_the_configuration(room: Path, tmp_path: Path)
     file = tmp_path / "settings.toml"
     file.write_text("seed = 3\n[mapping]\nprune_every = 70\n")
     config = fgs_slam.Config(file, seed=4)
-    for number, (given, seed) in enumerate([(file, 3), (config, 4)]):
-        out = tmp_path / f"run{number}"
+    given: fgs_slam.Config | Path
+    for given, seed in ((file, 3), (config, 4)):
+        out = tmp_path / f"run{seed}"
         run = fgs_slam.run(room, out=out, config=given, backend="cpu", frames=(0, 2))
         assert seed_and_pruning(run) == (f"seed = {seed}", True)
-    run = fgs_slam.run(room, out=out, config=config, backend="cpu", frames=(0, 2), **{"mapping.prune_every": 80})
+    run = fgs_slam.run(room, out=out, config=config, backend="cpu", frames=(0, 2), mapping={"prune_every": 80})
     assert seed_and_pruning(run) == ("seed = 4", False)
 
 
@@ -120,11 +122,27 @@ def test_recordings(recording: fgs_slam.Recording, room: Path) -> None:
     assert color.dtype == np.uint8 and color.shape == (120, 160, 3)
     assert depth_m.dtype == np.float32 and depth_m.shape == (120, 160)
     assert timestamp == recording[11][2] > recording[10][2]
+    frames = list(recording)
+    assert [frame[2] for frame in frames] == [recording[i][2] for i in range(12)]
+    for array, expected in zip(frames[3][:2], recording[3][:2], strict=True):
+        np.testing.assert_array_equal(array, expected)
     for index in (12, -13):
         with pytest.raises(IndexError):
             recording[index]
-    with pytest.raises(fgs_slam.DatasetError, match="already|exists"):
+    with pytest.raises(fgs_slam.DatasetError, match="holds no recording"):
         fgs_slam.Recording(room.parent)
+
+
+def test_a_damaged_image_is_an_exception(room: Path, tmp_path: Path) -> None:
+    damaged = tmp_path / "room"
+    shutil.copytree(room, damaged)
+    image = sorted((damaged / "rgb").iterdir())[1]
+    image.write_bytes(b"none")
+    frames = iter(fgs_slam.Recording(damaged))
+    next(frames)
+    with pytest.raises(fgs_slam.DatasetError, match=image.name):
+        next(frames)
+    assert next(frames)[2] == fgs_slam.Recording(room)[2][2]
 
 
 def test_a_synthetic_recording_never_replaces_anything(room: Path, tmp_path: Path) -> None:

@@ -92,6 +92,7 @@ def test_a_render_shows_what_the_camera_sees(slam: fgs_slam.Slam, recording: fgs
     assert np.median(np.abs(render.depth_m - depth_m)[seen]) < 0.05
     assert 0 <= render.alpha.min() and 0.9 < render.alpha.mean() <= 1
 
+    assert pose.world_from_camera is not None
     smaller = slam.render(pose.world_from_camera, recording.camera.resized(80, 60))
     assert smaller.color.shape == (60, 80, 3)
     again = slam.snapshot().render(pose, recording.camera)
