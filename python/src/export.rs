@@ -2,8 +2,7 @@
 
 use std::path::PathBuf;
 
-use fgs_export::ExportError;
-use fgs_run::{ExportFormat, ExportOptions, RunError};
+use fgs_run::{ExportFormat, ExportOptions};
 use pyo3::prelude::*;
 
 use crate::errors::{IntoPython, SettingError};
@@ -61,14 +60,12 @@ pub fn export(
         raw_axes,
         voxel_m,
     };
-    let (exported, raised) = interruptible(py, progress, |desk| {
-        options.export(&mut |done, total| {
+    let exported = interruptible(py, progress, |desk| {
+        let exported = options.export(&mut |done, total| {
             desk.report(("export", done, total));
             desk.flow()
-        })
+        });
+        exported.map_err(IntoPython::into_python)
     })?;
-    match (exported, raised) {
-        (Ok(_) | Err(RunError::Export(ExportError::Stopped)), Some(raised)) => Err(raised),
-        (exported, _) => Ok(exported.map_err(IntoPython::into_python)?.path),
-    }
+    Ok(exported.path)
 }

@@ -51,16 +51,16 @@ impl Desk<'_> {
 }
 
 /// Does the work with Python released. Its progress goes to `callback(what, done, total)`, on the thread that
-/// called. When a signal's handler or the callback raises, the work is asked to stop; when it has, the exception is
-/// raised again, beside what the work returned.
+/// called. When a signal's handler or the callback raises, the work is asked to stop.
 ///
 /// # Errors
-/// If the work panics, which would be a bug.
+/// What was raised, when the work has stopped, with what the work says of it as its cause; else the work's own
+/// error, also if it panics, which would be a bug.
 pub fn interruptible<T: Send>(
     py: Python<'_>,
     callback: Option<&Bound<'_, PyAny>>,
-    work: impl FnOnce(&Desk<'_>) -> T + Send,
-) -> PyResult<(T, Option<PyErr>)> {
+    work: impl FnOnce(&Desk<'_>) -> PyResult<T> + Send,
+) -> PyResult<T> {
     let stop = &AtomicBool::new(false);
     let (ended, has_ended) = sync_channel::<()>(0);
     let (progress, told) = sync_channel(QUEUE);
@@ -69,7 +69,7 @@ pub fn interruptible<T: Send>(
         progress: callback.map(|_| progress),
     };
     let callback = callback.map(|callback| callback.clone().unbind());
-    py.detach(move || {
+    let (done, raised) = py.detach(move || {
         thread::scope(|scope| {
             let working = scope.spawn(move || {
                 // Dropped however the work ends.
@@ -77,11 +77,17 @@ pub fn interruptible<T: Send>(
                 work(&desk)
             });
             let raised = attend(stop, has_ended, told, callback.as_ref());
-            let done = working.join();
-            let done = done.map_err(|_| RunFailure::new_err("stopped on an internal error"))?;
-            Ok((done, raised))
+            let panicked = |_| Err(RunFailure::new_err("stopped on an internal error"));
+            (working.join().unwrap_or_else(panicked), raised)
         })
-    })
+    });
+    match raised {
+        None => done,
+        Some(raised) => {
+            raised.set_cause(py, done.err());
+            Err(raised)
+        }
+    }
 }
 
 /// Looks after signals and progress until the work has ended.

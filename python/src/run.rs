@@ -2,7 +2,10 @@
 
 use std::path::PathBuf;
 
-use fgs_run::{Backend, Metrics, Plan, RunEvent, RunFolder, RunObserver, RunOptions, RunResult};
+use fgs_run::{
+    Backend, Metrics, Plan, RunEvent, RunFolder, RunObserver, RunOptions, RunResult,
+    pipeline_cache_folder,
+};
 use fgs_sensors::frames_to_measure;
 use fgs_slam::{Execution, Holdout};
 use pyo3::prelude::*;
@@ -82,11 +85,10 @@ pub fn run(
             .map_err(|error| SettingError::new_err(format!("eval_holdout: {error}")))?,
         out,
         evaluate,
+        pipeline_cache: pipeline_cache_folder(),
         ..RunOptions::default()
     };
-    let (done, raised) = interruptible(py, progress, |desk| run_to_end(&run_options, desk))?;
-    let run = done?;
-    raised.map_or(Ok(run), Err)
+    interruptible(py, progress, |desk| run_to_end(&run_options, desk))
 }
 
 fn run_to_end(options: &RunOptions, desk: &Desk<'_>) -> PyResult<Run> {

@@ -4,9 +4,10 @@ use std::sync::Mutex;
 
 use fgs_data::DataError;
 use fgs_geom::{FrameIndex, RgbdFrame, View};
-use fgs_run::Backend;
+use fgs_run::{Backend, pipeline_cache_folder};
 use fgs_slam::{Execution, SlamOutput};
 use pyo3::prelude::*;
+use pyo3::sync::PyOnceLock;
 use pyo3::types::PyDict;
 
 use crate::arrays;
@@ -38,6 +39,8 @@ pub struct Slam {
     camera: fgs_geom::Camera,
     /// None once it is finished. Locked only while Python is released.
     session: Mutex<Option<Session>>,
+    /// What it found, once it is finished.
+    result: PyOnceLock<Py<SlamResult>>,
 }
 
 struct Session {
@@ -92,7 +95,10 @@ impl Slam {
         let execution = execution.unwrap_or(Execution::Lockstep);
         let backend = options::parsed::<Backend>("backend", backend)?.or(settings.run.backend);
         let slam = py.detach(|| {
-            let model = backend.unwrap_or_default().model(&settings.mapping, None);
+            let cache = pipeline_cache_folder();
+            let model = backend
+                .unwrap_or_default()
+                .model(&settings.mapping, cache.as_deref());
             let map = model.map_err(IntoPython::into_python)?.map;
             let slam = fgs_slam::Slam::new(&camera.0, &settings.slam(), execution, map);
             slam.map_err(IntoPython::into_python)
@@ -104,6 +110,7 @@ impl Slam {
                 frames: 0,
                 last_secs: f64::NEG_INFINITY,
             })),
+            result: PyOnceLock::new(),
         })
     }
 
@@ -186,23 +193,31 @@ impl Slam {
         Render::of(py, &self.map(py)?, &view)
     }
 
-    /// Ends the session and returns everything. Ctrl-C ends the refinement.
+    /// Ends the session and returns everything; later calls return the same.
+    ///
+    /// Ctrl-C ends the refinement: KeyboardInterrupt is raised, and the next call returns what there is.
     ///
     /// Args:
     ///     refine: so many more optimisation steps, with all keyframes alike, make a second map.
     ///
     /// Raises:
-    ///     SessionError: the session is finished already.
+    ///     SessionError: the session has failed.
     #[pyo3(signature = (refine = 0))]
-    fn finish(&self, py: Python<'_>, refine: usize) -> PyResult<SlamResult> {
+    fn finish(&self, py: Python<'_>, refine: usize) -> PyResult<Py<SlamResult>> {
         let taken = py.detach(|| self.session.lock().map(|mut session| session.take()).ok());
-        let session = taken.ok_or_else(broken)?.ok_or_else(finished)?;
-        let work = interruptible(py, None, |desk| {
-            session.slam.finish_refined(refine, desk.stop)
-        });
-        let (output, raised) = work?;
-        raised.map_or(Ok(()), Err)?;
-        SlamResult::from_rust(py, output)
+        if let Some(session) = taken.ok_or_else(broken)? {
+            interruptible(py, None, |desk| {
+                let output = session.slam.finish_refined(refine, desk.stop);
+                Python::attach(|py| {
+                    let result = Py::new(py, SlamResult::from_rust(py, output)?)?;
+                    // Nobody else has taken the session.
+                    let _ = self.result.set(py, result);
+                    Ok(())
+                })
+            })?;
+        }
+        let result = self.result.get(py).ok_or_else(finished)?;
+        Ok(result.clone_ref(py))
     }
 }
 

@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use fgs_synth::{SensorModel, Sequence, SynthError, kinect_camera, write_tum};
+use fgs_synth::{SensorModel, Sequence, kinect_camera, write_tum};
 use pyo3::prelude::*;
 
 use crate::arrays;
@@ -52,16 +52,12 @@ pub fn synth(
             "frames: {frames} is not 1 to 1000000"
         )));
     }
-    let (written, raised) = interruptible(py, progress, |desk| {
+    interruptible(py, progress, |desk| {
         let sequence = Sequence::new(seed, frames, camera, sensor);
-        write_tum(&sequence, &out, |done| {
+        let written = write_tum(&sequence, &out, |done| {
             desk.report(("frames", done, frames));
             desk.flow()
-        })
-    })?;
-    match (written, raised) {
-        (Err(SynthError::Stopped { .. }) | Ok(()), Some(raised)) => Err(raised),
-        (Err(error), _) => Err(error.into_python()),
-        (Ok(()), None) => Ok(()),
-    }
+        });
+        written.map_err(IntoPython::into_python)
+    })
 }

@@ -1,5 +1,6 @@
 """Frames in, poses and maps out."""
 
+import signal
 import threading
 import time
 import tracemalloc
@@ -56,12 +57,23 @@ def test_a_refined_map_is_another(slam: fgs_slam.Slam, recording: fgs_slam.Recor
     assert not np.array_equal(result.gaussians.sh, result.refined.sh)
 
 
+def test_ctrl_c_ends_a_refinement(slam: fgs_slam.Slam, recording: fgs_slam.Recording) -> None:
+    for frame in recording:
+        slam.push(*frame)
+    timer = threading.Timer(0.5, signal.raise_signal, (signal.SIGINT,))
+    timer.start()
+    with pytest.raises(KeyboardInterrupt):
+        slam.finish(refine=1_000_000)
+    timer.join()
+    assert slam.finish().refined is not None
+
+
 def test_a_finished_session_says_so(slam: fgs_slam.Slam, recording: fgs_slam.Recording) -> None:
     frame = recording[0]
     slam.push(*frame)
-    slam.finish()
+    result = slam.finish()
+    assert slam.finish() is result
     calls: list[Callable[[], object]] = [
-        slam.finish,
         slam.snapshot,
         slam.gaussians,
         lambda: slam.push(*frame),

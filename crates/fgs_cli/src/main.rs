@@ -15,7 +15,6 @@ mod image_size;
 mod interrupt;
 mod live;
 mod memory;
-mod pipeline_cache;
 mod progress;
 mod render;
 mod run;
