@@ -27,6 +27,8 @@ __all__ = [
     "synth",
 ]
 
+__version__: str
+
 _Path = str | PathLike[str]
 _Mode = Literal["lockstep", "parallel", "realtime"]
 _Backend = Literal["auto", "cpu", "gpu"]

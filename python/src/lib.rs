@@ -23,6 +23,10 @@ mod trajectory;
 #[pyo3::pymodule]
 mod _fgs_slam {
     #[pymodule_export]
+    #[allow(non_upper_case_globals, reason = "its name in Python")]
+    const __version__: &str = env!("CARGO_PKG_VERSION");
+
+    #[pymodule_export]
     use crate::{
         camera::Camera,
         config::Config,
