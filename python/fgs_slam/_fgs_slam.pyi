@@ -19,6 +19,7 @@ __all__ = [
     "Slam",
     "SlamResult",
     "Trajectory",
+    "__version__",
     "align",
     "ate",
     "detail_mask",

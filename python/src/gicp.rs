@@ -1,9 +1,7 @@
 //! Registration of point clouds.
 
 use fgs_geom::Se3;
-use fgs_gicp::{
-    Alignment, Point, PointMap, Settings, align as gicp_align, covariances_from_neighbors,
-};
+use fgs_gicp::{Alignment, PointMap, Settings, align as gicp_align, points_from_neighbors};
 use nalgebra::Vector3;
 use numpy::PyArray2;
 use pyo3::prelude::*;
@@ -15,6 +13,7 @@ use crate::pose::pose_of;
 /// Registers two point clouds by generalised ICP (Segal et al. 2009).
 ///
 /// Each point is a disk fitted to its nearest neighbours; points whose neighbours do not span a plane are left out.
+/// Thin dense clouds first: where points are nearer to each other than they are sure, disks are fitted to noise.
 ///
 /// Args:
 ///     source, target: points, metres, float32 or float64 (N, 3) and (M, 3).
@@ -67,41 +66,18 @@ pub fn align(
         ..Settings::default()
     };
     let alignment = py.detach(|| {
-        let disks = |points: &[[f32; 3]]| disks(points, neighbors, neighbor_distance_m);
+        let disks = |points: Vec<[f32; 3]>| {
+            let positions: Vec<Vector3<f32>> = points.into_iter().map(Vector3::from).collect();
+            points_from_neighbors(&positions, neighbors, neighbor_distance_m)
+        };
         let mut map = PointMap::new(3.0 * max_distance_m);
-        for (point, id) in disks(&target).into_iter().zip(0..) {
+        for (point, id) in disks(target).into_iter().zip(0..) {
             map.insert(id, point);
         }
-        gicp_align(&disks(&source), &map, &initial, &settings)
+        gicp_align(&disks(source), &map, &initial, &settings)
     });
     let alignment = alignment.map_err(|error| AlignmentError::new_err(error.to_string()))?;
     Ok(PyAlignment(alignment))
-}
-
-/// The points whose neighbours span a plane.
-fn disks(points: &[[f32; 3]], neighbors: usize, distance_m: f32) -> Vec<Point> {
-    let positions: Vec<Vector3<f32>> = points.iter().map(|point| Vector3::from(*point)).collect();
-    let mut map = PointMap::new(distance_m);
-    for (&position, id) in positions.iter().zip(0..) {
-        let covariance = fgs_gicp::Covariance::isotropic();
-        map.insert(
-            id,
-            Point {
-                position,
-                covariance,
-            },
-        );
-    }
-    let covariances = covariances_from_neighbors(&map, &positions, neighbors, distance_m);
-    let points = positions.iter().zip(covariances);
-    points
-        .filter_map(|(&position, covariance)| {
-            Some(Point {
-                position,
-                covariance: covariance?,
-            })
-        })
-        .collect()
 }
 
 /// The result of a registration.
