@@ -29,14 +29,14 @@ fn array<'py, T: Element, D: Dimension>(
     }
 }
 
-/// The same of any floating type, which is converted if it is another.
+/// The same of any type of numbers, which is converted if it is another.
 fn float_array<'py, T: Element, D: Dimension>(
     value: &Bound<'py, PyAny>,
     name: &str,
     expected: &str,
 ) -> PyResult<PyReadonlyArray<'py, T, D>> {
     let own = as_array(value)?;
-    if own.dtype().kind() != b'f' {
+    if !b"fiu".contains(&own.dtype().kind()) {
         return Err(unexpected(&own, name, expected));
     }
     let as_it_is = [("copy", false)].into_py_dict(value.py())?;
@@ -106,6 +106,11 @@ pub fn has_channels(value: &Bound<'_, PyAny>) -> PyResult<bool> {
 /// A depth image, any floating type of shape (H, W), metres.
 pub fn depth_image(value: &Bound<'_, PyAny>) -> PyResult<Image<f32>> {
     let expected = "metres as float32 or float64 of shape (H, W)";
+    let own = as_array(value)?;
+    // Whole numbers are a sensor's units.
+    if own.dtype().kind() != b'f' {
+        return Err(unexpected(&own, "depth_m", expected));
+    }
     let array = float_array::<f32, Ix2>(value, "depth_m", expected)?;
     let (height, width) = (array.shape()[0], array.shape()[1]);
     image(width, height, elements(&array.as_array()))
@@ -115,7 +120,7 @@ fn image<T>(width: usize, height: usize, data: Vec<T>) -> PyResult<Image<T>> {
     Image::new(width, height, data).map_err(|error| ShapeError::new_err(error.to_string()))
 }
 
-/// Rows of N numbers, any floating type of shape (M, N).
+/// Rows of N numbers, any numbers of shape (M, N).
 pub fn float_rows<const N: usize>(value: &Bound<'_, PyAny>, name: &str) -> PyResult<Vec<[f32; N]>> {
     let expected = format!("float32 or float64 of shape (N, {N})");
     let array = float_array::<f32, Ix2>(value, name, &expected)?;
@@ -139,13 +144,13 @@ pub fn check_size(camera: &Camera) -> PyResult<()> {
     )))
 }
 
-/// Numbers, any floating type of shape (N,).
+/// Numbers of shape (N,).
 pub fn floats(value: &Bound<'_, PyAny>, name: &str) -> PyResult<Vec<f32>> {
     let array = float_array::<f32, Ix1>(value, name, "float32 or float64 of shape (N,)")?;
     Ok(elements(&array.as_array()))
 }
 
-/// Times, seconds, any floating type of shape (N,).
+/// Times, seconds, any numbers of shape (N,).
 pub fn times(value: &Bound<'_, PyAny>) -> PyResult<Vec<f64>> {
     let array = float_array::<f64, Ix1>(value, "timestamps", "seconds as float64 of shape (N,)")?;
     Ok(elements(&array.as_array()))
@@ -162,7 +167,7 @@ pub fn flags(value: &Bound<'_, PyAny>, name: &str) -> PyResult<Vec<bool>> {
     Ok(elements(&array.as_array()))
 }
 
-/// A pose, any floating type of shape (4, 4).
+/// A pose, any numbers of shape (4, 4).
 pub fn pose(value: &Bound<'_, PyAny>, name: &str) -> PyResult<Se3> {
     let array = float_array::<f64, Ix2>(value, name, "a matrix of shape (4, 4)")?;
     if array.shape() != [4, 4] {
@@ -175,7 +180,7 @@ pub fn pose(value: &Bound<'_, PyAny>, name: &str) -> PyResult<Se3> {
     rigid(&elements(&array.as_array()), name)
 }
 
-/// Poses, any floating type of shape (N, 4, 4).
+/// Poses, any numbers of shape (N, 4, 4).
 pub fn poses(value: &Bound<'_, PyAny>, name: &str) -> PyResult<Vec<Se3>> {
     let expected = "poses of shape (N, 4, 4)";
     let array = float_array::<f64, Ix3>(value, name, expected)?;

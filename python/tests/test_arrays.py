@@ -88,7 +88,8 @@ def test_poses(slam: fgs_slam.Slam, frame: tuple[Array, Array]) -> None:
     for pose in [np.eye(3), np.zeros((4, 4)), mirror, projective, np.full((4, 4), np.nan), "here", None]:
         with pytest.raises(fgs_slam.ShapeError, match="pose: "):
             slam.render(pose)  # type: ignore[arg-type]
-    assert slam.render(np.eye(4, dtype=np.float32).tolist()).color.any()
+    for dtype in (np.float32, np.int64):
+        assert slam.render(np.eye(4, dtype=dtype).tolist()).color.any()
 
 
 def test_maps_are_made_of_arrays(slam: fgs_slam.Slam, frame: tuple[Array, Array]) -> None:
