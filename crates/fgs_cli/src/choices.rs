@@ -3,7 +3,7 @@
 use std::str::FromStr;
 
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
-use fgs_run::Backend;
+use fgs_run::{Backend, ExportFormat};
 use fgs_slam::Execution;
 
 /// A name and its help.
@@ -36,6 +36,34 @@ const BACKENDS: [Choice; 3] = [
     ),
 ];
 
+const EXPORT_FORMATS: [Choice; 13] = [
+    (
+        "ply",
+        "Gaussians: PLY of the original 3D gaussian splatting",
+    ),
+    (
+        "compressed-ply",
+        "Gaussians: PLY of SuperSplat, a quarter of the size",
+    ),
+    ("splat", "Gaussians: .splat of antimatter15's viewer"),
+    ("spz", "Gaussians: Niantic's SPZ, a quarter of the size"),
+    (
+        "glb",
+        "Gaussians: binary glTF with `KHR_gaussian_splatting`",
+    ),
+    ("points", "Coloured points of the measured surface: PLY"),
+    ("mesh-ply", "Coloured mesh of the measured surface: PLY"),
+    ("mesh-obj", "The same as OBJ"),
+    ("mesh-glb", "The same as binary glTF"),
+    ("tum", "Trajectory in TUM's format"),
+    ("kitti", "Trajectory in KITTI's format"),
+    (
+        "colmap",
+        "The keyframes' images and poses, and points: COLMAP's text files",
+    ),
+    ("nerfstudio", "The same for nerfstudio"),
+];
+
 /// Parses `--mode`.
 pub fn execution() -> impl TypedValueParser<Value = Execution> {
     one_of(&EXECUTIONS)
@@ -44,6 +72,11 @@ pub fn execution() -> impl TypedValueParser<Value = Execution> {
 /// Parses `--backend`.
 pub fn backend() -> impl TypedValueParser<Value = Backend> {
     one_of(&BACKENDS)
+}
+
+/// Parses `--to`.
+pub fn export_format() -> impl TypedValueParser<Value = ExportFormat> {
+    one_of(&EXPORT_FORMATS)
 }
 
 fn one_of<T>(choices: &[Choice]) -> impl TypedValueParser<Value = T>
@@ -67,6 +100,9 @@ mod tests {
         }
         for (name, _) in BACKENDS {
             assert_eq!(name.parse::<Backend>().unwrap().to_string(), name);
+        }
+        for (name, _) in EXPORT_FORMATS {
+            assert_eq!(name.parse::<ExportFormat>().unwrap().to_string(), name);
         }
     }
 }

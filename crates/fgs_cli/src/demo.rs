@@ -3,7 +3,9 @@
 use std::path::{Path, PathBuf};
 
 use clap::Args;
-use fgs_run::{Backend, MAP, Plan, REPORT, RunOptions, Settings, TRAJECTORY};
+use fgs_run::{
+    Backend, MAP, Plan, REPORT, RunOptions, Settings, TRAJECTORY, pipeline_cache_folder,
+};
 use fgs_slam::Execution;
 use fgs_synth::{FRAMES_PER_LOOP, SensorModel, Sequence, kinect_camera};
 
@@ -12,7 +14,7 @@ use crate::failure::{EXIT_DONE, explain};
 use crate::live::Live;
 use crate::run::{command_line, execute};
 use crate::threads::Threads;
-use crate::{choices, interrupt, pipeline_cache, synth};
+use crate::{choices, interrupt, synth};
 
 /// Half a Kinect's resolution, once round the room: two minutes on two cores.
 const SIZE: (usize, usize) = (320, 240);
@@ -46,7 +48,7 @@ pub fn run(args: &DemoArgs) -> anyhow::Result<u8> {
     if args.backend == Backend::Gpu {
         // Where there is no device, say so before the recording is made.
         let settings = Settings::default();
-        let cache = pipeline_cache::folder();
+        let cache = pipeline_cache_folder();
         args.backend
             .model(&settings.mapping, cache.as_deref())
             .map_err(explain)?;
@@ -68,7 +70,7 @@ pub fn run(args: &DemoArgs) -> anyhow::Result<u8> {
         backend: Some(args.backend),
         out: Some(folder.join("run")),
         evaluate: true,
-        pipeline_cache: pipeline_cache::folder(),
+        pipeline_cache: pipeline_cache_folder(),
         command: Some(command_line()),
         ..RunOptions::default()
     };

@@ -41,6 +41,8 @@ pub fn exit_code(error: &anyhow::Error) -> u8 {
 pub fn explain(error: RunError) -> anyhow::Error {
     let message = match &error {
         RunError::Assignment { .. } => format!("--set {error}"),
+        RunError::BelongsToRun { .. } => format!("--out: {error}"),
+        RunError::VoxelSize(_) => format!("--voxel-m: {error}"),
         RunError::NoDevice(_) => format!("{error} (--backend cpu computes without one)"),
         RunError::UnknownRecording { .. } | RunError::RecordingOfRun(_) => {
             format!("{error} (--dataset DIR says where it is)")

@@ -16,7 +16,6 @@ mod interrupt;
 mod live;
 mod memory;
 mod merge;
-mod pipeline_cache;
 mod progress;
 mod render;
 mod run;

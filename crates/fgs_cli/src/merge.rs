@@ -3,12 +3,12 @@
 use std::path::PathBuf;
 
 use clap::Args;
-use fgs_run::{Backend, MergeOptions, merge};
+use fgs_run::{Backend, MergeOptions, merge, pipeline_cache_folder};
 
 use crate::console::Console;
 use crate::failure::{EXIT_DONE, explain};
 use crate::threads::Threads;
-use crate::{choices, interrupt, pipeline_cache};
+use crate::{choices, interrupt};
 
 /// Merge two maps of one place
 ///
@@ -59,7 +59,7 @@ pub fn run(args: &MergeArgs) -> anyhow::Result<u8> {
         out: args.out.clone(),
         backend: args.backend.unwrap_or_default(),
         refine: args.refine as usize,
-        pipeline_cache: pipeline_cache::folder(),
+        pipeline_cache: pipeline_cache_folder(),
     };
     let merged = merge(&options, &stop).map_err(explain)?;
     console.event("merged", &merged);

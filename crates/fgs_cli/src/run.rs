@@ -7,7 +7,9 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use anyhow::bail;
 use clap::Args;
 use fgs_data::Dataset;
-use fgs_run::{Backend, FrameRange, KnownMap, Model, Plan, RunOptions, RunResult};
+use fgs_run::{
+    Backend, FrameRange, KnownMap, Model, Plan, RunOptions, RunResult, pipeline_cache_folder,
+};
 use fgs_sensors::frames_to_measure;
 use fgs_slam::{Execution, FrameStatus, Holdout};
 use serde_json::json;
@@ -17,7 +19,7 @@ use crate::failure::{EXIT_DONE, EXIT_INTERRUPTED, explain};
 use crate::live::{Live, Watchers};
 use crate::progress::Progress;
 use crate::threads::Threads;
-use crate::{choices, interrupt, pipeline_cache};
+use crate::{choices, interrupt};
 
 /// Track the camera and build the map
 ///
@@ -165,7 +167,7 @@ pub fn run(args: &RunArgs) -> anyhow::Result<u8> {
         eval_holdout: args.eval_holdout,
         out: args.out.clone(),
         evaluate: args.eval,
-        pipeline_cache: pipeline_cache::folder(),
+        pipeline_cache: pipeline_cache_folder(),
         command: Some(command_line()),
     };
     let (mut plan, model) = Plan::resolve(&options).map_err(explain)?;

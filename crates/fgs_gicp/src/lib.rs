@@ -16,5 +16,5 @@ pub use point::Point;
 pub use registration::{
     AlignError, Alignment, Conditioning, Factor, Kernel, LinearSystem, Settings, align,
 };
-pub use surface::{DepthGrid, SurfacePoint, covariances_from_neighbors};
+pub use surface::{DepthGrid, SurfacePoint, covariances_from_neighbors, points_from_neighbors};
 pub use target::{Neighbor, PointMap};

@@ -5,6 +5,7 @@ use std::path::PathBuf;
 
 use fgs_data::DataError;
 use fgs_eval::EvalError;
+use fgs_export::ExportError;
 use fgs_files::FolderError;
 use fgs_slam::SlamError;
 use fgs_splat::{GpuError, PlyError};
@@ -170,6 +171,27 @@ pub enum RunError {
         /// The folder of earlier results that were therefore not replaced.
         kept: Option<PathBuf>,
     },
+    /// There is nothing to export.
+    #[error("the run's map is empty")]
+    EmptyMap,
+    /// A finished run does not say what its camera was.
+    #[error("{} names no camera", path.display())]
+    NoCamera {
+        /// The run's settings.
+        path: PathBuf,
+    },
+    /// An export would replace one of the run's own files.
+    #[error("{} belongs to the run", path.display())]
+    BelongsToRun {
+        /// The file.
+        path: PathBuf,
+    },
+    /// The side of a voxel, in metres, is not possible.
+    #[error("a voxel of {0} m: a length of 0.001 to 1 m is expected")]
+    VoxelSize(f64),
+    /// An export failed, or was stopped.
+    #[error(transparent)]
+    Export(#[from] ExportError),
     /// A file cannot be read or is damaged.
     #[error("cannot read {}: {source}", path.display())]
     Read {
@@ -222,7 +244,9 @@ impl RunError {
             | Self::NotARun { .. }
             | Self::NoMap { .. }
             | Self::MergesInto { .. }
-            | Self::NotOfMap { .. } => true,
+            | Self::NotOfMap { .. }
+            | Self::BelongsToRun { .. }
+            | Self::VoxelSize(_) => true,
             Self::Refused(error) => !matches!(error, FolderError::Busy(_)),
             Self::Read { source, .. } => source.kind() == io::ErrorKind::InvalidInput,
             Self::Data(error) => error.is_usage(),

@@ -30,6 +30,8 @@
 //! With [`RunOptions::checkpoint_every_secs`] the run also leaves its map in a form that outlives it
 //! ([`MapFolder`]): another run goes on with it, or finds its camera in it.
 //!
+//! [`ExportOptions`] take a finished run to other programs, as `fgs export` does.
+//!
 //! What a run is scored by stands in one place, [`SCORES`].
 
 mod assignment;
@@ -38,6 +40,7 @@ mod checkpoints;
 mod drive;
 mod error;
 mod evaluation;
+mod export;
 mod frame_log;
 mod frame_range;
 mod map_folder;
@@ -46,6 +49,7 @@ mod metrics;
 mod observer;
 mod peak_memory;
 mod pictures;
+mod pipeline_cache;
 mod plan;
 mod recording;
 mod reference;
@@ -60,6 +64,7 @@ mod settings;
 pub use backend::{Backend, Model};
 pub use error::RunError;
 pub use evaluation::score_images;
+pub use export::{ExportFormat, ExportOptions, Exported, UnknownFormat};
 pub use fgs_files::OutputFolder;
 pub use frame_log::FrameRow;
 pub use frame_range::FrameRange;
@@ -68,6 +73,7 @@ pub use merge::{MergeOptions, Merged, merge};
 pub use metrics::{Metrics, RefinedMetrics};
 pub use observer::{RunEvent, RunObserver};
 pub use pictures::render_png;
+pub use pipeline_cache::pipeline_cache_folder;
 pub use plan::{KnownMap, Plan, RunOptions};
 pub use recording::{open_recording, recording_name};
 pub use report::{comparison_page, write_report};

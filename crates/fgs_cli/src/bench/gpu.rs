@@ -22,7 +22,6 @@ use super::scene::{Scene, check_fall};
 use super::stage::{RUNS, Times};
 use crate::console::Console;
 use crate::failure::{EXIT_DONE, UsageError};
-use crate::pipeline_cache;
 
 /// Steps are timed together: as many as take so long, but no more than this number.
 const TOGETHER_MS: f64 = 200.0;
@@ -66,7 +65,7 @@ struct Size<'a> {
 /// # Errors
 /// If there is no device, it fails, or steps do not lower the loss.
 pub fn run(inputs: &[Input], numbers: &[usize], console: Console) -> anyhow::Result<u8> {
-    let device = GpuDevice::find(true, pipeline_cache::folder().as_deref())
+    let device = GpuDevice::find(true, fgs_run::pipeline_cache_folder().as_deref())
         .map_err(|error| UsageError(error.to_string()))?;
     let rates = device.measure_rates()?;
     let costs = device.measure_dispatch_costs()?;

@@ -5,4 +5,4 @@ mod neighbors;
 mod plane_fit;
 
 pub use depth_grid::{DepthGrid, SurfacePoint};
-pub use neighbors::covariances_from_neighbors;
+pub use neighbors::{covariances_from_neighbors, points_from_neighbors};

@@ -1,5 +1,6 @@
 use super::*;
-use crate::Point;
+use rand::{RngExt, SeedableRng};
+use rand_pcg::Pcg64Mcg;
 
 #[test]
 fn a_plane_gives_disks_and_a_line_nothing() {
@@ -30,4 +31,45 @@ fn a_plane_gives_disks_and_a_line_nothing() {
     assert!(error <= 1e-3, "{error}");
     assert!(covariances[..400].iter().all(Option::is_some));
     assert!(covariances[400..].iter().all(Option::is_none));
+}
+
+/// A cloud that is dense here and sparse there, with what cannot be used among it.
+#[test]
+fn disks_are_those_of_a_plain_search() {
+    let mut random = Pcg64Mcg::seed_from_u64(3);
+    let mut positions: Vec<Vector3<f32>> = (0..3000)
+        .map(|i| {
+            let side = if i % 3 == 0 { 2.0 } else { 0.1 };
+            let mut at = || side * random.random_range(-1.0..1.0_f32);
+            Vector3::new(at(), at(), 0.02 * at())
+        })
+        .collect();
+    positions[7] = Vector3::new(f32::NAN, 0.0, 0.0);
+    positions[8] = Vector3::new(50.0, 0.0, 0.0);
+    for max_distance_m in [0.05, 0.3, 3.0] {
+        let mut map = PointMap::new(max_distance_m);
+        for (&position, id) in positions.iter().zip(0..) {
+            let covariance = Covariance::isotropic();
+            map.insert(
+                id,
+                Point {
+                    position,
+                    covariance,
+                },
+            );
+        }
+        let covariances = covariances_from_neighbors(&map, &positions, 10, max_distance_m);
+        let expected: Vec<Point> = (positions.iter().zip(covariances))
+            .filter_map(|(&position, covariance)| {
+                Some(Point {
+                    position,
+                    covariance: covariance?,
+                })
+            })
+            .collect();
+        assert!(expected.len() > 1500 && expected.len() <= 2998);
+        assert!(points_from_neighbors(&positions, 10, max_distance_m) == expected);
+    }
+    assert!(points_from_neighbors(&[], 10, 0.1).is_empty());
+    assert!(points_from_neighbors(&positions[7..8], 10, 0.1).is_empty());
 }
