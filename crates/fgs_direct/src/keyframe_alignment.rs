@@ -29,9 +29,6 @@ const TRANSLATION_EPSILON_M: f64 = 1e-5;
 /// With fewer points the noise of the residuals cannot be told.
 const MIN_POINTS: usize = 50;
 
-/// In a direction in which less of the information is shown by both images, it is noise; twice as much is not.
-const NOISE: f64 = 0.15;
-
 /// How sure it is, before looking, that two images are of one exposure: standard deviations.
 const GAIN_SIGMA: f64 = 0.2;
 const OFFSET_SIGMA: f64 = 0.1;
@@ -126,13 +123,9 @@ pub fn align_with_keyframes(
         }
         if let Some(noise) = residuals_noise {
             let rows: Vec<Vec<Row>> = pairs.iter().map(|pair| pair.rows(image, &pose)).collect();
-            let off = (prior.world_from_camera.inverse() * pose).log();
-            let claimed = information(&rows, &exposures, noise, |row| row.by_here);
-            let information = information(&rows, &exposures, noise, |row| row.by_there);
-            pose = prior.world_from_camera * Se3::exp(&(held_share(&claimed, &information) * off));
             result = Some(PhotometricAlignment {
                 world_from_camera: pose,
-                information,
+                information: information(&rows, &exposures, noise),
                 noise,
                 points: rows.iter().map(Vec::len).sum(),
                 contradicts_prior: false,
@@ -234,26 +227,20 @@ fn weight(residual: f64, noise: f64) -> f64 {
     (STUDENT_T + 1.0) / (STUDENT_T + (residual / noise).powi(2)) / (noise * noise)
 }
 
-/// What points say of the pose, `[omega, v]`, gains and offsets eliminated: the products of each point's
-/// gradient in the image with another of its gradients. With the same one, noise would count as knowledge:
-/// before a bare wall that is all there is. The noise of two images is independent, so that it vanishes from
-/// the products of their gradients.
-fn information(
-    rows: &[Vec<Row>],
-    exposures: &[Exposure],
-    noise: f64,
-    other: impl Fn(&Row) -> Vector6<f64>,
-) -> Matrix6<f64> {
+/// What points say of the pose, `[omega, v]`, gains and offsets eliminated. Products of a gradient with itself
+/// would count noise as knowledge: before a bare wall that is all there is. The noise of two images is
+/// independent, so that it vanishes from the products of their gradients.
+fn information(rows: &[Vec<Row>], exposures: &[Exposure], noise: f64) -> Matrix6<f64> {
     let mut information = Matrix6::zeros();
     for (rows, exposure) in rows.iter().zip(exposures) {
         let (mut by_exposure, mut mixed) = (exposure_prior(), Matrix2x6::zeros());
         for row in rows {
             let weight = weight(exposure.residual(row), noise);
-            let other = other(row);
-            information += weight * row.by_here * other.transpose();
+            let by_there = exposure.gain * row.by_there;
+            information += weight * row.by_here * by_there.transpose();
             let affine = Vector2::new(-row.there, -1.0);
             by_exposure += weight * affine * affine.transpose();
-            mixed += 0.5 * weight * affine * (row.by_here + other).transpose();
+            mixed += 0.5 * weight * affine * (row.by_here + by_there).transpose();
         }
         let inverse = by_exposure.try_inverse().unwrap_or_else(Matrix2::zeros);
         information -= mixed.transpose() * inverse * mixed;
@@ -261,22 +248,6 @@ fn information(
     let eigen = (0.5 * (information + information.transpose())).symmetric_eigen();
     let known = eigen.eigenvalues.map(|known| known.max(0.0));
     eigen.eigenvectors * Matrix6::from_diagonal(&known) * eigen.eigenvectors.transpose()
-}
-
-/// The part of a motion that was found in directions that are known, given the information that was `claimed`
-/// while looking for it and what is truly `known`.
-fn held_share(claimed: &Matrix6<f64>, known: &Matrix6<f64>) -> Matrix6<f64> {
-    let Some(lower) = claimed.cholesky().map(|cholesky| cholesky.l()) else {
-        return Matrix6::identity();
-    };
-    let Some(by_lower) = lower.try_inverse() else {
-        return Matrix6::identity();
-    };
-    let eigen = (by_lower * known * by_lower.transpose()).symmetric_eigen();
-    let shares = (eigen.eigenvalues).map(|share| ((share - NOISE) / NOISE).clamp(0.0, 1.0));
-    let whitened =
-        eigen.eigenvectors * Matrix6::from_diagonal(&shares) * eigen.eigenvectors.transpose();
-    by_lower.transpose() * whitened * lower.transpose()
 }
 
 /// The information on gain and offset before looking.
@@ -331,6 +302,8 @@ impl System {
 #[cfg(test)]
 mod tests {
     use fgs_geom::RgbdFrame;
+    use rand::{RngExt, SeedableRng};
+    use rand_pcg::Pcg64Mcg;
 
     use super::*;
     use crate::test_scene::Scene;
@@ -430,6 +403,32 @@ mod tests {
             "{}",
             normalized / 30.0
         );
+    }
+
+    /// A keyframe at the origin shows paint, the image a bare wall: what gradients it has are the sensor's noise.
+    #[test]
+    fn noise_before_a_bare_wall_says_nothing() {
+        let reference = reference(&Scene::new(8, false).frame(&Se3::identity(), 1.0, 0.0));
+        let uncertainty_m = |gain: f64| {
+            let scene = Scene::new(8, false);
+            let mut frame = scene.frame(&Se3::identity(), gain, 0.4);
+            let mut noise = Pcg64Mcg::seed_from_u64(3);
+            for pixel in frame.color.data_mut() {
+                let off: i16 = noise.random_range(-5..=5);
+                *pixel =
+                    pixel.map(|value| i16::from(value).saturating_add(off).clamp(0, 255) as u8);
+            }
+            let pyramid = IntensityPyramid::of_frame(&frame, LEVELS);
+            let known = PosePrior {
+                information: Matrix6::identity() * 1e4,
+                ..unknown()
+            };
+            let aligned = align_with_keyframes(&pyramid, &[at_origin(&reference)], &known);
+            let known: Matrix6<f64> = aligned.unwrap().information + 1e-3 * Matrix6::identity();
+            known.try_inverse().unwrap()[(3, 3)].sqrt()
+        };
+        let (painted, bare) = (uncertainty_m(0.5), uncertainty_m(0.0));
+        assert!(painted <= 0.005 && bare >= 0.02, "{painted} {bare}");
     }
 
     #[test]

@@ -110,10 +110,12 @@ impl Evidence {
 
     /// Whether a camera that was lost is believed to be found there.
     pub fn is_a_find(&self) -> bool {
+        // Without colour in tracking, geometry has to do; a wall on which nothing can be compared has not.
+        let is_seen =
+            |seen: Agreement| seen.points >= MIN_COMPARED && seen.support() >= CLEAR_SUPPORT;
         self.inlier_share >= FOUND_INLIER_SHARE
-            && self
-                .support()
-                .is_none_or(|support| support >= CLEAR_SUPPORT)
+            && !self.is_slipping()
+            && self.agreement.is_none_or(is_seen)
     }
 
     /// Whether a keyframe clearly speaks for this pose of a frame rather than for another.
@@ -137,6 +139,7 @@ impl Evidence {
 }
 
 #[cfg(test)]
+#[allow(clippy::unwrap_used)]
 mod tests {
     use super::*;
 
@@ -263,6 +266,16 @@ mod tests {
         assert!(evidence(1.0, 0.9, 0.0).is_a_find());
         // A room that looks alike.
         assert!(!evidence(0.6, 0.9, 0.0).is_a_find());
+        // A bare wall.
+        let bare = |points| Evidence {
+            agreement: Some(Agreement {
+                points,
+                ..evidence(1.0, 0.9, 0.0).agreement.unwrap()
+            }),
+            ..evidence(1.0, 0.9, 0.0)
+        };
+        assert!(bare(50).is_a_find() && !bare(10).is_a_find());
+        assert!(!sliding.is_a_find());
         assert!(!evidence(0.9, 0.58, 0.0).is_a_find());
     }
 }

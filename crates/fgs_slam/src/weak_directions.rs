@@ -10,7 +10,7 @@ use rayon::prelude::*;
 
 /// What is left of the noise, relative to what the same points would hold if each were known along all axes as
 /// well as along its normal: multiples of the disks' thickness.
-const SLACK: f64 = 0.5;
+const SLACK: f64 = 2.0;
 
 /// Every so many points are looked at: thousands are left, which is enough for sums over them.
 const STEP: usize = 4;
