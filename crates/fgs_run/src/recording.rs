@@ -6,6 +6,7 @@ use std::ffi::OsString;
 use std::path::{Component, Path, PathBuf};
 
 use fgs_data::{CameraFile, DataError, Dataset, OpenOptions};
+use fgs_recordings::open;
 
 use crate::error::RunError;
 use crate::settings::Settings;
@@ -24,7 +25,7 @@ pub fn open_recording(
         settings.run.camera_overrides = Some(true);
     }
     let with = |camera: Option<CameraFile>| {
-        Dataset::open(
+        open(
             folder,
             &OpenOptions {
                 camera,
