@@ -34,6 +34,7 @@ mod pose_origin;
 mod sensor_times;
 mod trajectory;
 
+pub use association::associate;
 pub use camera_file::CameraFile;
 pub use dataset::{Dataset, OpenOptions};
 pub use error::{DataError, LineFault};

@@ -7,13 +7,17 @@
 //! Invariants: input is untrusted. Sizes are bounded before anything is allocated for them, and only
 //! regular files below the given path are opened.
 
+mod cdr;
 mod depth_upsampling;
 mod fault;
 mod intrinsics;
+mod mcap_file;
 mod phone_poses;
 mod pinhole;
 mod plain_folder;
 mod record3d;
+mod ros_bag;
+mod ros_messages;
 mod stray_scanner;
 mod tree;
 mod tree_frames;
@@ -38,6 +42,10 @@ use crate::tree::Tree;
 pub fn open(path: &Path, options: &OpenOptions) -> Result<Dataset, DataError> {
     if !is_present(path) || is_present(&path.join("camera.toml")) {
         return Dataset::open(path, options);
+    }
+    let bags = ros_bag::files_at(path)?;
+    if !bags.is_empty() {
+        return Dataset::from_source(path, ros_bag::open(path, &bags, options)?, options);
     }
     if let Some(tree) = Tree::open(path)? {
         let opened = if record3d::is_one(&tree) {

@@ -3,6 +3,8 @@
 #![allow(dead_code, reason = "each test program uses its own part of this")]
 #![allow(clippy::unwrap_used, reason = "a test may panic, its helpers too")]
 
+pub mod bag;
+
 use std::fmt::Write as _;
 use std::fs::{self, File};
 use std::io::{Cursor, Write};
@@ -71,7 +73,7 @@ impl Walk {
                 .unwrap();
             let depth_mm = frame.depth_m.map(|depth| (1000.0 * depth).round() as u16);
             Frame {
-                secs: 100.0 + index as f64 / 30.0,
+                secs: 100.0 + index as f64 / 32.0,
                 jpeg,
                 color: frame.color,
                 depth_mm,
@@ -123,7 +125,7 @@ impl Walk {
             let (t, q) = parts(&y_up(&frame.world_from_camera));
             [q[0], q[1], q[2], q[3], t[0], t[1], t[2]]
         });
-        let (first, _) = (&self.frames[0], ());
+        let first = &self.frames[0];
         let metadata = json!({
             "w": self.camera.width,
             "h": self.camera.height,
