@@ -12,9 +12,11 @@ mod depth_upsampling;
 mod fault;
 mod intrinsics;
 mod mcap_file;
+mod nerfstudio;
 mod phone_poses;
 mod pinhole;
 mod plain_folder;
+mod polycam;
 mod record3d;
 mod ros_bag;
 mod ros_messages;
@@ -52,6 +54,10 @@ pub fn open(path: &Path, options: &OpenOptions) -> Result<Dataset, DataError> {
             record3d::open(tree)?
         } else if stray_scanner::is_one(&tree) {
             stray_scanner::open(tree)?
+        } else if polycam::is_one(&tree) {
+            polycam::open(tree)?
+        } else if nerfstudio::is_one(&tree) {
+            nerfstudio::open(tree)?
         } else {
             return plain(path, options);
         };

@@ -192,6 +192,60 @@ impl Walk {
     }
 }
 
+impl Walk {
+    /// Polycam's raw data, in a folder.
+    pub fn write_polycam(&self, folder: &Path) {
+        let k = self.camera.intrinsics;
+        for frame in &self.frames {
+            let time = (1e6 * frame.secs) as u64;
+            let mut camera = json!({
+                "fx": k.fx, "fy": k.fy, "cx": k.cx, "cy": k.cy, "blur_score": 30.5,
+                "width": self.camera.width, "height": self.camera.height,
+            });
+            let matrix = y_up(&frame.world_from_camera).matrix();
+            for (row, column) in (0..3).flat_map(|row| (0..4).map(move |column| (row, column))) {
+                camera[format!("t_{row}{column}")] = matrix[(row, column)].into();
+            }
+            let sure = frame.depth_mm.map(|mm| 255 * u8::from(*mm > 0));
+            let camera = camera.to_string();
+            for (name, bytes) in [
+                (format!("images/{time}.jpg"), &frame.jpeg),
+                (format!("cameras/{time}.json"), &camera.into_bytes()),
+                (format!("depth/{time}.png"), &png(&frame.depth_mm)),
+                (format!("confidence/{time}.png"), &png8(&sure)),
+            ] {
+                write(folder, &format!("keyframes/{name}"), bytes);
+            }
+        }
+        write(folder, "mesh_info.json", b"{}");
+    }
+
+    /// A nerfstudio folder, whose list is not in the frames' order.
+    pub fn write_nerfstudio(&self, folder: &Path) {
+        let k = self.camera.intrinsics;
+        let mut frames = Vec::new();
+        for (index, frame) in self.frames.iter().enumerate().rev() {
+            let (color, depth) = (format!("images/{index}.jpg"), format!("depths/{index}.png"));
+            write(folder, &color, &frame.jpeg);
+            write(folder, &depth, &png(&frame.depth_mm));
+            let matrix = y_up(&frame.world_from_camera).matrix().transpose();
+            frames.push(json!({
+                "file_path": format!("./{color}"),
+                "depth_file_path": depth,
+                "transform_matrix": matrix.as_slice().chunks(4).collect::<Vec<_>>(),
+            }));
+        }
+        let transforms = json!({
+            "camera_model": "OPENCV",
+            "w": self.camera.width, "h": self.camera.height,
+            "fl_x": k.fx, "fl_y": k.fy, "cx": k.cx + 0.5, "cy": k.cy + 0.5,
+            "k1": 0.0, "k2": 0.0, "p1": 0.0, "p2": 0.0,
+            "frames": frames,
+        });
+        write(folder, "transforms.json", transforms.to_string().as_bytes());
+    }
+}
+
 /// Position and quaternion, xyzw.
 fn parts(pose: &Se3) -> ([f64; 3], [f64; 4]) {
     let (t, q) = (pose.translation, pose.rotation.coords);
