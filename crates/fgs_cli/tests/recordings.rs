@@ -9,7 +9,7 @@ mod walk;
 use std::fs;
 use std::path::Path;
 
-use common::{metrics, names, rows, run, stderr, stdout};
+use common::{fgs, metrics, names, rows, run, stderr, stdout};
 use serde_json::Value;
 use walk::bag::Transport;
 use walk::{FRAMES, Walk};
@@ -140,13 +140,50 @@ fn a_phones_frames_are_tracked() {
     assert!(metrics["ate_rmse_m"].as_f64().unwrap() < 0.01, "{metrics}");
 }
 
+/// A program in ffmpeg's place gives the frames from the one that it is asked for.
+#[cfg(unix)]
+#[test]
+fn a_video_is_decoded_by_ffmpeg() {
+    use std::os::unix::fs::PermissionsExt;
+
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path();
+    let walk = Walk::new();
+    walk.write_stray(&path.join("images"));
+    walk.write_stray(&path.join("video"));
+    fs::remove_dir_all(path.join("video/rgb")).unwrap();
+    for (index, frame) in walk.frames.iter().enumerate() {
+        let pixels = image::load_from_memory(&frame.jpeg).unwrap().into_rgb8();
+        let mut bytes = format!("P6\n{} {}\n255\n", pixels.width(), pixels.height()).into_bytes();
+        bytes.extend(pixels.into_raw());
+        fs::write(path.join(format!("{index}.ppm")), bytes).unwrap();
+    }
+    let program = "#!/bin/sh\n\
+        n=$(printf '%s' \"$*\" | sed -n 's/.*file:video.rgb.mp4.*gte(n\\\\,\\([0-9]*\\)).*/\\1/p')\n\
+        while [ -e $n.ppm ]; do cat $n.ppm || exit; n=$((n + 1)); done\n";
+    let ffmpeg = path.join("ffmpeg");
+    fs::write(&ffmpeg, program).unwrap();
+    fs::set_permissions(&ffmpeg, fs::Permissions::from_mode(0o755)).unwrap();
+    let programs = format!("{}:/usr/bin:/bin", path.display());
+    let arguments = ["run", "video", "--out", "out", "--backend", "cpu"];
+    let output = fgs(path, &arguments)
+        .env("PATH", programs)
+        .output()
+        .unwrap();
+    assert!(output.status.success(), "{}", stderr(&output));
+    let decoded = fs::read_to_string(path.join("out/trajectory.txt")).unwrap();
+    assert!(decoded == track(path, "images", "expected"));
+}
+
 #[test]
 fn what_is_missing_is_named() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path();
     Walk::new().write_stray(&path.join("stray"));
     fs::remove_dir_all(path.join("stray/rgb")).unwrap();
-    let refused = stderr(&run(path, &["doctor", "stray"], 1));
+    // Where nothing is installed.
+    let output = fgs(path, &["doctor", "stray"]).env("PATH", "").output();
+    let refused = stderr(&output.unwrap());
     let command = "ffmpeg -noautorotate -i 'stray/rgb.mp4' -fps_mode passthrough -start_number 0";
     assert!(refused.contains(command), "{refused}");
     fs::write(path.join("notes.txt"), "nothing").unwrap();

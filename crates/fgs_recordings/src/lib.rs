@@ -8,6 +8,7 @@
 //! regular files below the given path are opened.
 
 mod cdr;
+mod colmap;
 mod depth_upsampling;
 mod fault;
 mod intrinsics;
@@ -17,12 +18,14 @@ mod phone_poses;
 mod pinhole;
 mod plain_folder;
 mod polycam;
+mod rational_lens;
 mod record3d;
 mod ros_bag;
 mod ros_messages;
 mod stray_scanner;
 mod tree;
 mod tree_frames;
+mod video;
 mod working_image;
 
 use std::path::Path;
@@ -58,6 +61,8 @@ pub fn open(path: &Path, options: &OpenOptions) -> Result<Dataset, DataError> {
             polycam::open(tree)?
         } else if nerfstudio::is_one(&tree) {
             nerfstudio::open(tree)?
+        } else if colmap::is_one(&tree) {
+            colmap::open(tree)?
         } else {
             return plain(path, options);
         };

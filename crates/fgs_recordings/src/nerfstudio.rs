@@ -14,7 +14,7 @@ use crate::fault::fault;
 use crate::intrinsics::{median, resized};
 use crate::phone_poses::{from_y_up, trajectory};
 use crate::tree::Tree;
-use crate::tree_frames::{DepthCoding, TreeFrame, TreeFrames, size_of, working_image};
+use crate::tree_frames::{ColorFile, DepthCoding, TreeFrame, TreeFrames, size_of, working_image};
 
 const TRANSFORMS: &str = "transforms.json";
 
@@ -85,7 +85,7 @@ pub(crate) fn open(tree: Tree) -> Result<SourcedRecording, DataError> {
     let mut frames = Vec::new();
     for frame in &listed {
         frames.push(TreeFrame {
-            color: plain_name(&frame.file_path).into(),
+            color: ColorFile::Own(plain_name(&frame.file_path).into()),
             depth: plain_name(frame.depth_file_path.as_deref().unwrap_or_default()).into(),
             confidence: None,
             intrinsics: Some(
@@ -114,7 +114,7 @@ pub(crate) fn open(tree: Tree) -> Result<SourcedRecording, DataError> {
     let depth_coding = DepthCoding::Png {
         units_per_m: units_per_m as f32,
     };
-    let working = working_image(&tree, first, depth_coding, &path, |_| common)?;
+    let working = working_image(&tree, first, color_size, depth_coding, &path, common)?;
     let timestamps: Vec<f64> = (0..frames.len())
         .map(|index| index as f64 / FRAME_RATE_HZ)
         .collect();
@@ -131,6 +131,7 @@ pub(crate) fn open(tree: Tree) -> Result<SourcedRecording, DataError> {
         timestamps,
         source: Box::new(TreeFrames {
             tree,
+            video: None,
             frames,
             depth_coding,
             working,

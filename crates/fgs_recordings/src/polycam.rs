@@ -16,7 +16,7 @@ use crate::intrinsics::{median, resized};
 use crate::phone_poses::{from_y_up, trajectory};
 use crate::pinhole::pinhole;
 use crate::tree::Tree;
-use crate::tree_frames::{DepthCoding, TreeFrame, TreeFrames, size_of, working_image};
+use crate::tree_frames::{ColorFile, DepthCoding, TreeFrame, TreeFrames, size_of, working_image};
 
 const KEYFRAMES: &str = "keyframes";
 const DEPTH: &str = "keyframes/depth";
@@ -89,7 +89,7 @@ pub(crate) fn open(tree: Tree) -> Result<SourcedRecording, DataError> {
         };
         let confidence = format!("{CONFIDENCE}/{microseconds}.png");
         frames.push(TreeFrame {
-            color,
+            color: ColorFile::Own(color),
             depth: format!("{DEPTH}/{microseconds}.png"),
             confidence: Some(confidence).filter(|name| has_confidence && tree.has(name)),
             intrinsics: Some(camera.intrinsics(&tree.shown(&name), size)?),
@@ -98,7 +98,7 @@ pub(crate) fn open(tree: Tree) -> Result<SourcedRecording, DataError> {
         poses.push(camera.pose());
     }
     let own: Vec<Intrinsics> = frames.iter().filter_map(|frame| frame.intrinsics).collect();
-    let (Some(first), Some(common)) = (frames.first(), median(&own)) else {
+    let (Some(first), Some(size), Some(common)) = (frames.first(), color_size, median(&own)) else {
         return Err(DataError::Empty {
             path,
             what: "frame of an image, a camera and a depth image",
@@ -107,7 +107,7 @@ pub(crate) fn open(tree: Tree) -> Result<SourcedRecording, DataError> {
     let depth_coding = DepthCoding::Png {
         units_per_m: 1000.0,
     };
-    let working = working_image(&tree, first, depth_coding, &path, |_| common)?;
+    let working = working_image(&tree, first, size, depth_coding, &path, common)?;
     Ok(SourcedRecording {
         format: Format::Polycam,
         camera: pinhole(*working.camera(), &path)?,
@@ -115,6 +115,7 @@ pub(crate) fn open(tree: Tree) -> Result<SourcedRecording, DataError> {
         timestamps,
         source: Box::new(TreeFrames {
             tree,
+            video: None,
             frames,
             depth_coding,
             working,

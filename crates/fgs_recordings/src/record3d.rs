@@ -15,7 +15,7 @@ use crate::intrinsics::{median, resized};
 use crate::phone_poses::{from_y_up, trajectory};
 use crate::pinhole::pinhole;
 use crate::tree::Tree;
-use crate::tree_frames::{DepthCoding, TreeFrame, TreeFrames, size_of, working_image};
+use crate::tree_frames::{ColorFile, DepthCoding, TreeFrame, TreeFrames, size_of, working_image};
 
 const METADATA: &str = "metadata";
 const IMAGES: &str = "rgbd";
@@ -68,19 +68,19 @@ pub(crate) fn open(tree: Tree) -> Result<SourcedRecording, DataError> {
     let frames: Vec<TreeFrame> = numbers
         .iter()
         .map(|n| TreeFrame {
-            color: format!("{IMAGES}/{n}.jpg"),
+            color: ColorFile::Own(color_name(*n)),
             depth: format!("{IMAGES}/{n}.depth"),
             confidence: Some(format!("{IMAGES}/{n}.conf")).filter(|name| tree.has(name)),
             intrinsics: None,
         })
         .collect();
-    let Some(first) = frames.first() else {
+    let (Some(first), Some(first_number)) = (frames.first(), numbers.first()) else {
         return Err(DataError::Empty {
             path: tree.shown(IMAGES),
             what: "frame of a colour and a depth image",
         });
     };
-    let color_size = size_of(&tree, &first.color)?;
+    let color_size = size_of(&tree, &color_name(*first_number))?;
     let described = match size {
         (Some(w), Some(h)) if w > 0 && h > 0 => (w, h),
         _ => color_size,
@@ -90,9 +90,8 @@ pub(crate) fn open(tree: Tree) -> Result<SourcedRecording, DataError> {
     };
     let own = metadata.frame_intrinsics(&numbers, count);
     let common = own.as_deref().and_then(median).unwrap_or(k);
-    let working = working_image(&tree, first, depth_coding, &path, |color_size| {
-        resized(&common, described, color_size)
-    })?;
+    let common = resized(&common, described, color_size);
+    let working = working_image(&tree, first, color_size, depth_coding, &path, common)?;
     let timestamps = metadata.timestamps(&numbers, count);
     let device_poses = metadata.poses(&path, &timestamps, &numbers, count);
     let own = own.into_iter().flatten().map(Some);
@@ -109,10 +108,15 @@ pub(crate) fn open(tree: Tree) -> Result<SourcedRecording, DataError> {
         source: Box::new(TreeFrames {
             frames: frames.collect(),
             tree,
+            video: None,
             depth_coding,
             working,
         }),
     })
+}
+
+fn color_name(number: usize) -> String {
+    format!("{IMAGES}/{number}.jpg")
 }
 
 /// The numbers of the frames that have colour and depth, increasing.

@@ -12,11 +12,12 @@ use fgs_data::{
     CameraFile, DataError, Format, FrameImages, FrameSource, OpenOptions, SourcedRecording,
     associate, natural_order,
 };
-use fgs_geom::{Camera, Intrinsics};
+use fgs_geom::{Camera, Intrinsics, PixelMap};
 
 use crate::cdr::{CdrReader, NotCdr};
 use crate::fault::{fault, io_fault};
 use crate::mcap_file::McapFile;
+use crate::rational_lens::undistortion;
 use crate::ros_messages::{CameraInfo, Header, RosImage};
 use crate::working_image::WorkingImage;
 
@@ -41,6 +42,7 @@ struct ImageTopic {
 }
 
 /// Where a message is, and when it was taken.
+#[derive(Clone, Copy)]
 struct Message {
     file: usize,
     log_time: u64,
@@ -55,6 +57,16 @@ struct BagFrames {
     /// Colour and depth of each frame.
     frames: Vec<(Message, Message)>,
     working: WorkingImage,
+    /// Of lenses that a camera file cannot describe.
+    undistortion: Option<PixelMap>,
+}
+
+/// How a lens bends images.
+enum Bending {
+    /// As camera files have it; `None` if not at all.
+    Polynomial(Option<[f64; 5]>),
+    /// See [`undistortion`].
+    Rational([f64; 8]),
 }
 
 /// The MCAP files at a path: itself, or those in the folder in their order. None if there is none.
@@ -95,8 +107,7 @@ pub(crate) fn open(
     let topics: BTreeMap<String, String> = files.iter().flat_map(McapFile::topics).collect();
     let (color, depth) = choose(path, image_topics(&files, &topics)?)?;
     let info = camera_info(path, &files, &topics, &color)?;
-    let colors = messages(&files, &color.name)?;
-    let depths = messages(&files, &depth.name)?;
+    let [colors, depths] = messages(&files, [&color.name, &depth.name])?;
     let secs = |messages: &[Message]| messages.iter().map(|m| m.secs).collect::<Vec<_>>();
     let pairs = associate(
         &secs(&colors),
@@ -112,20 +123,16 @@ pub(crate) fn open(
             ),
         ));
     }
-    let (mut colors, mut depths) = (options_of(colors), options_of(depths));
-    let take = |messages: &mut Vec<Option<Message>>, place: usize| messages[place].take();
     let frames: Vec<(Message, Message)> = pairs
         .into_iter()
-        .filter_map(|(a, b)| Some((take(&mut colors, a)?, take(&mut depths, b)?)))
+        .map(|(color, depth)| (colors[color], depths[depth]))
         .collect();
-    let (intrinsics, distortion) = lens(path, &info, &color)?;
-    let native = Camera::new(color.size.0, color.size.1, intrinsics).map_err(|source| {
-        DataError::Camera {
-            path: path.into(),
-            source,
-        }
-    })?;
+    let (native, bending) = lens(path, &info, &color)?;
     let working = WorkingImage::new(&native, depth.size).map_err(|message| fault(path, message))?;
+    let (distortion, undistortion) = match bending {
+        Bending::Polynomial(distortion) => (distortion, None),
+        Bending::Rational(d) => (None, Some(undistortion(&d, working.camera()))),
+    };
     let camera = CameraFile::new(*working.camera(), distortion, DEPTH_SCALE);
     Ok(SourcedRecording {
         format: Format::Mcap,
@@ -141,12 +148,9 @@ pub(crate) fn open(
             depth,
             frames,
             working,
+            undistortion,
         }),
     })
-}
-
-fn options_of(messages: Vec<Message>) -> Vec<Option<Message>> {
-    messages.into_iter().map(Some).collect()
 }
 
 /// The topics with images that are understood, as their first messages say.
@@ -291,49 +295,57 @@ fn camera_info(
     ))
 }
 
-/// Intrinsics and distortion of a topic's images.
+/// The camera of a topic's images and its distortion.
 fn lens(
     path: &Path,
     info: &CameraInfo,
     color: &ImageTopic,
-) -> Result<(Intrinsics, Option<[f64; 5]>), DataError> {
+) -> Result<(Camera, Bending), DataError> {
+    let camera = |fx, fy, cx, cy| {
+        let intrinsics = Intrinsics { fx, fy, cx, cy };
+        Camera::new(color.size.0, color.size.1, intrinsics).map_err(|source| DataError::Camera {
+            path: path.into(),
+            source,
+        })
+    };
     if color.name.contains("rect") && info.p[0] > 0.0 {
         let [fx, _, cx, _, _, fy, cy, ..] = info.p;
-        return Ok((Intrinsics { fx, fy, cx, cy }, None));
+        return Ok((camera(fx, fy, cx, cy)?, Bending::Polynomial(None)));
     }
     let [fx, _, cx, _, fy, cy, ..] = info.k;
-    let intrinsics = Intrinsics { fx, fy, cx, cy };
+    let camera = camera(fx, fy, cx, cy)?;
     if info.d.iter().all(|value| *value == 0.0) {
-        return Ok((intrinsics, None));
+        return Ok((camera, Bending::Polynomial(None)));
     }
-    match (info.distortion_model.as_str(), info.d.as_slice()) {
-        ("plumb_bob", &[k1, k2, p1, p2]) => Ok((intrinsics, Some([k1, k2, p1, p2, 0.0]))),
-        ("plumb_bob", &[k1, k2, p1, p2, k3]) => Ok((intrinsics, Some([k1, k2, p1, p2, k3]))),
-        ("rational_polynomial", &[k1, k2, p1, p2, k3, ref more @ ..])
-            if more.iter().all(|value| *value == 0.0) =>
-        {
-            Ok((intrinsics, Some([k1, k2, p1, p2, k3])))
+    let bending = match (info.distortion_model.as_str(), info.d.as_slice()) {
+        ("plumb_bob", &[k1, k2, p1, p2]) => Bending::Polynomial(Some([k1, k2, p1, p2, 0.0])),
+        ("plumb_bob", &[k1, k2, p1, p2, k3]) => Bending::Polynomial(Some([k1, k2, p1, p2, k3])),
+        ("rational_polynomial", &[k1, k2, p1, p2, k3, k4, k5, k6]) => {
+            Bending::Rational([k1, k2, p1, p2, k3, k4, k5, k6])
         }
-        (model, d) => Err(fault(
-            path,
-            format!(
-                "the lens distortion {model:?} with {} coefficients is not understood: record rectified \
-                 images, or give a camera file (--camera)",
-                d.len()
-            ),
-        )),
-    }
+        (model, d) => {
+            return Err(fault(
+                path,
+                format!(
+                    "the lens distortion {model:?} with {} coefficients is not understood: record \
+                     rectified images",
+                    d.len()
+                ),
+            ));
+        }
+    };
+    Ok((camera, bending))
 }
 
-/// A topic's messages, each later than the one before.
-fn messages(files: &[McapFile], topic: &str) -> Result<Vec<Message>, DataError> {
-    let mut messages = Vec::new();
+/// The messages of two topics, each later than the one before.
+fn messages(files: &[McapFile], topics: [&str; 2]) -> Result<[Vec<Message>; 2], DataError> {
+    let mut messages = [Vec::new(), Vec::new()];
     for (file, bag) in files.iter().enumerate() {
-        bag.visit(&[topic], None, |_, log_time, message| {
+        bag.visit(&topics, None, |topic, log_time, message| {
             let header = CdrReader::new(message).and_then(|mut reader| Header::read(&mut reader));
             // What is damaged is no frame.
             if let Ok(header) = header {
-                messages.push(Message {
+                messages[usize::from(topic == topics[1])].push(Message {
                     file,
                     log_time,
                     secs: header.secs,
@@ -342,8 +354,10 @@ fn messages(files: &[McapFile], topic: &str) -> Result<Vec<Message>, DataError> 
             ControlFlow::Continue(())
         })?;
     }
-    messages.sort_by(|a, b| a.secs.total_cmp(&b.secs));
-    messages.dedup_by(|a, b| a.secs == b.secs);
+    for messages in &mut messages {
+        messages.sort_by(|a, b| a.secs.total_cmp(&b.secs));
+        messages.dedup_by(|a, b| a.secs == b.secs);
+    }
     Ok(messages)
 }
 
@@ -359,7 +373,16 @@ impl FrameSource for BagFrames {
         let depth_m = self.image(&self.depth, depth, |image, path| {
             image.depth_m(path, self.working.depth_size())
         })?;
-        Ok(self.working.images(&color, &depth_m, None))
+        let images = self.working.images(&color, &depth_m, None);
+        let Some(map) = &self.undistortion else {
+            return Ok(images);
+        };
+        Ok(FrameImages {
+            // The map is made for this size.
+            color: map.color(&images.color).unwrap_or(images.color),
+            depth_m: map.depth(&images.depth_m).unwrap_or(images.depth_m),
+            color_valid: Some(map.color_valid()),
+        })
     }
 }
 

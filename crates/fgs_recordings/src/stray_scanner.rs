@@ -1,8 +1,8 @@
 //! Stray Scanner: a folder of `odometry.csv`, `camera_matrix.csv`, `depth/NNNNNN.png` (millimetres),
 //! `confidence/NNNNNN.png` (0 to 2) and `rgb.mp4`.
 //!
-//! Poses are of the camera in our axes already: the app turns ARKit's. The video is HEVC, which is not
-//! decoded here: its images are taken from `rgb/`, where ffmpeg puts them.
+//! Poses are of the camera in our axes already: the app turns ARKit's. The video is HEVC: its images are
+//! taken from `rgb/` if they are there, else they are decoded by ffmpeg.
 
 use std::collections::HashMap;
 use std::path::Path;
@@ -15,7 +15,8 @@ use crate::intrinsics::median;
 use crate::phone_poses::trajectory;
 use crate::pinhole::pinhole;
 use crate::tree::Tree;
-use crate::tree_frames::{DepthCoding, TreeFrame, TreeFrames, working_image};
+use crate::tree_frames::{ColorFile, DepthCoding, TreeFrame, TreeFrames, size_of, working_image};
+use crate::video::Video;
 
 const ODOMETRY: &str = "odometry.csv";
 const CAMERA: &str = "camera_matrix.csv";
@@ -49,7 +50,7 @@ pub(crate) fn open(tree: Tree) -> Result<SourcedRecording, DataError> {
     let camera_path = tree.shown(CAMERA);
     let matrix = read_matrix(&tree)?;
     let rows = read_odometry(&tree)?;
-    let colors = colors_of(&tree, &rows)?;
+    let Colors { files, video, size } = colors_of(&tree, &rows)?;
     let names = |folder: &str| -> Result<HashMap<u64, String>, DataError> {
         let names = tree.names_in(folder)?.into_iter();
         let numbered = names.filter_map(|name| {
@@ -61,7 +62,7 @@ pub(crate) fn open(tree: Tree) -> Result<SourcedRecording, DataError> {
     let (mut depths, mut confidences) = (names("depth")?, names("confidence")?);
     let mut frames = Vec::new();
     let mut kept = Vec::new();
-    for (row, color) in rows.iter().zip(colors) {
+    for (row, color) in rows.iter().zip(files) {
         if let (Some(color), Some(depth)) = (color, depths.remove(&row.number)) {
             frames.push(TreeFrame {
                 color,
@@ -87,7 +88,7 @@ pub(crate) fn open(tree: Tree) -> Result<SourcedRecording, DataError> {
     let depth_coding = DepthCoding::Png {
         units_per_m: 1000.0,
     };
-    let working = working_image(&tree, first, depth_coding, &camera_path, |_| common)?;
+    let working = working_image(&tree, first, size, depth_coding, &camera_path, common)?;
     let timestamps: Vec<f64> = kept.iter().map(|row| row.timestamp_secs).collect();
     Ok(SourcedRecording {
         format: Format::StrayScanner,
@@ -96,6 +97,7 @@ pub(crate) fn open(tree: Tree) -> Result<SourcedRecording, DataError> {
         timestamps,
         source: Box::new(TreeFrames {
             tree,
+            video,
             frames,
             depth_coding,
             working,
@@ -175,26 +177,70 @@ fn read_odometry(tree: &Tree) -> Result<Vec<Row>, DataError> {
     Ok(rows)
 }
 
-/// The colour image of each row: in order, if there are as many; else by the numbers of their names, which
-/// begin at 0 like the rows' do.
-fn colors_of(tree: &Tree, rows: &[Row]) -> Result<Vec<Option<String>>, DataError> {
+/// The colour images of all rows.
+struct Colors {
+    /// That of each row, if there is one.
+    files: Vec<Option<ColorFile>>,
+    video: Option<Video>,
+    size: (usize, usize),
+}
+
+/// Takes the images in `rgb/`, else those of the video, if ffmpeg is installed.
+fn colors_of(tree: &Tree, rows: &[Row]) -> Result<Colors, DataError> {
+    let names = image_names(tree)?;
+    if let Some(first) = names.first() {
+        let size = size_of(tree, first)?;
+        return Ok(Colors {
+            files: files_of(tree, rows, &names)?,
+            video: None,
+            size,
+        });
+    }
+    let video = match tree.path_of(VIDEO) {
+        Some(path) => Video::open(&path)?,
+        None => None,
+    };
+    let Some(video) = video else {
+        return Err(fault(&tree.shown(VIDEO), how_to_extract(tree)));
+    };
+    let first = video.frame(0)?;
+    let files = (0..rows.len()).map(|place| Some(ColorFile::InVideo(place)));
+    Ok(Colors {
+        files: files.collect(),
+        size: (first.width(), first.height()),
+        video: Some(video),
+    })
+}
+
+/// The images that the video was turned into, in order.
+fn image_names(tree: &Tree) -> Result<Vec<String>, DataError> {
     let mut names = tree.names_in(COLOR)?;
     names.retain(|name| {
         let extension = name.rsplit('.').next().unwrap_or_default();
         ["png", "jpg", "jpeg"].contains(&extension.to_ascii_lowercase().as_str())
     });
     names.sort_by(|a, b| natural_order(a, b));
-    let shown = |name: &String| format!("{COLOR}/{name}");
-    if names.is_empty() {
-        return Err(fault(&tree.shown(VIDEO), how_to_extract(tree)));
-    }
+    Ok(names.iter().map(|name| format!("{COLOR}/{name}")).collect())
+}
+
+/// The image of each row: in order, if there are as many; else by the numbers of their names, which begin
+/// at 0 like the rows' do.
+fn files_of(
+    tree: &Tree,
+    rows: &[Row],
+    names: &[String],
+) -> Result<Vec<Option<ColorFile>>, DataError> {
+    let own = |name: &String| Some(ColorFile::Own(name.clone()));
     if names.len() == rows.len() {
-        return Ok(names.iter().map(|name| Some(shown(name))).collect());
+        return Ok(names.iter().map(own).collect());
     }
-    let number = |name: &String| -> Option<u64> { name.split_once('.')?.0.parse().ok() };
-    let mut numbered: HashMap<u64, String> = names
+    let number = |name: &String| -> Option<usize> {
+        let (_, name) = name.rsplit_once('/')?;
+        name.split_once('.')?.0.parse().ok()
+    };
+    let numbered: HashMap<usize, &String> = names
         .iter()
-        .filter_map(|name| Some((number(name)?, shown(name))))
+        .filter_map(|name| Some((number(name)?, name)))
         .collect();
     if !numbered.contains_key(&0) {
         return Err(fault(
@@ -207,15 +253,18 @@ fn colors_of(tree: &Tree, rows: &[Row]) -> Result<Vec<Option<String>>, DataError
             ),
         ));
     }
-    let places = 0..rows.len() as u64;
-    Ok(places.map(|place| numbered.remove(&place)).collect())
+    let places = 0..rows.len();
+    Ok(places
+        .map(|place| numbered.get(&place).copied().and_then(own))
+        .collect())
 }
 
 /// The command that turns the video into images: every frame once, as recorded.
 fn how_to_extract(tree: &Tree) -> String {
     let (video, folder) = (tree.shown(VIDEO), tree.shown(COLOR));
     format!(
-        "the video has to be turned into images first: mkdir -p '{folder}' && ffmpeg -noautorotate -i \
+        "the program ffmpeg, which decodes the video, is not installed, or the video is in an archive: turn \
+         it into images: mkdir -p '{folder}' && ffmpeg -noautorotate -i \
          '{video}' -fps_mode passthrough -start_number 0 -q:v 2 '{folder}/%06d.jpg'",
         folder = folder.display(),
         video = video.display(),

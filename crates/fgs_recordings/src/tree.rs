@@ -66,6 +66,14 @@ impl Tree {
         self.path.join(name)
     }
 
+    /// A file's path; `None` in an archive.
+    pub fn path_of(&self, name: &str) -> Option<PathBuf> {
+        match self.place {
+            Place::Folder => Some(self.shown(name)),
+            Place::Archive { .. } => None,
+        }
+    }
+
     /// Whether there is a file or folder of this name.
     pub fn has(&self, name: &str) -> bool {
         match &self.place {

@@ -10,6 +10,7 @@ use lzfse_rust::LzfseRingDecoder;
 
 use crate::fault::fault;
 use crate::tree::Tree;
+use crate::video::Video;
 use crate::working_image::WorkingImage;
 
 /// An encoded colour image of 100 megapixels at most, or depth of a few.
@@ -20,11 +21,19 @@ const MAX_PIXELS: usize = 100_000_000;
 
 /// One frame's files.
 pub(crate) struct TreeFrame {
-    pub color: String,
+    pub color: ColorFile,
     pub depth: String,
     pub confidence: Option<String>,
     /// Of its colour image as it comes, where frames have their own.
     pub intrinsics: Option<Intrinsics>,
+}
+
+/// Where a colour image is.
+pub(crate) enum ColorFile {
+    /// In a file of its own.
+    Own(String),
+    /// In the recording's video, so many frames after the first.
+    InVideo(usize),
 }
 
 /// How depth is stored.
@@ -40,6 +49,8 @@ pub(crate) enum DepthCoding {
 /// The frames of a recording.
 pub(crate) struct TreeFrames {
     pub tree: Tree,
+    /// Colour, where it is not in files of its own.
+    pub video: Option<Video>,
     pub frames: Vec<TreeFrame>,
     pub depth_coding: DepthCoding,
     pub working: WorkingImage,
@@ -56,27 +67,26 @@ pub(crate) fn size_of(tree: &Tree, name: &str) -> Result<(usize, usize), DataErr
     Ok(size)
 }
 
-/// How images of a recording become frames: from the sizes of the first frame's.
+/// How images of a recording become frames. The first frame's colour image has this size, and by it these
+/// intrinsics.
 ///
 /// # Errors
 /// If they do not fit together. `path` is the file that says what the camera is.
 pub(crate) fn working_image(
     tree: &Tree,
     first: &TreeFrame,
+    (width, height): (usize, usize),
     depth_coding: DepthCoding,
     path: &Path,
-    intrinsics: impl FnOnce((usize, usize)) -> Intrinsics,
+    intrinsics: Intrinsics,
 ) -> Result<WorkingImage, DataError> {
-    let (width, height) = size_of(tree, &first.color)?;
     let depth_size = match depth_coding {
         DepthCoding::Png { .. } => size_of(tree, &first.depth)?,
         DepthCoding::Numbers { size } => size,
     };
-    let native = Camera::new(width, height, intrinsics((width, height))).map_err(|source| {
-        DataError::Camera {
-            path: path.into(),
-            source,
-        }
+    let native = Camera::new(width, height, intrinsics).map_err(|source| DataError::Camera {
+        path: path.into(),
+        source,
     })?;
     WorkingImage::new(&native, depth_size).map_err(|message| fault(path, message))
 }
@@ -87,12 +97,7 @@ impl FrameSource for TreeFrames {
             index,
             len: self.frames.len(),
         })?;
-        let color = decode_color(
-            self.tree.read(&frame.color, MAX_IMAGE_BYTES)?,
-            &self.tree.shown(&frame.color),
-            self.working.color_size(),
-        )
-        .map_err(plain_size)?;
+        let color = self.color(&frame.color)?;
         let mut depth_m = self.depth(&frame.depth)?;
         if let Some(name) = &frame.confidence {
             for (depth, confidence) in depth_m.data_mut().iter_mut().zip(self.confidence(name)?) {
@@ -107,6 +112,27 @@ impl FrameSource for TreeFrames {
 }
 
 impl TreeFrames {
+    /// A colour image as it comes.
+    fn color(&self, file: &ColorFile) -> Result<Image<[u8; 3]>, DataError> {
+        let size = self.working.color_size();
+        match (file, &self.video) {
+            (ColorFile::Own(name), _) => {
+                let bytes = self.tree.read(name, MAX_IMAGE_BYTES)?;
+                decode_color(bytes, &self.tree.shown(name), size).map_err(plain_size)
+            }
+            (ColorFile::InVideo(place), Some(video)) => {
+                let image = video.frame(*place)?;
+                if (image.width(), image.height()) == size {
+                    return Ok(image);
+                }
+                Err(fault(video.path(), "its images change their size".into()))
+            }
+            (ColorFile::InVideo(_), None) => {
+                Err(fault(&self.tree.shown(""), "has no video".into()))
+            }
+        }
+    }
+
     /// A depth image as it comes, metres.
     fn depth(&self, name: &str) -> Result<Image<f32>, DataError> {
         let (path, size) = (self.tree.shown(name), self.working.depth_size());

@@ -31,8 +31,8 @@ fn compare(format: Format, name: &str, write: fn(&Walk, &Path)) {
     assert!(other.ground_truth_error().is_none());
     let poses = |dataset: &Dataset| dataset.ground_truth().map(|poses| poses.poses().to_vec());
     let (expected, poses) = (poses(&plain).unwrap(), poses(&other).unwrap_or_default());
-    // nerfstudio's frames have no times.
-    let has_times = format != Format::Nerfstudio;
+    // Photographs have no times.
+    let has_times = ![Format::Nerfstudio, Format::Colmap].contains(&format);
     let known = if format == Format::Mcap { 0 } else { FRAMES };
     assert_eq!(poses.len(), known);
     for (expected, pose) in expected.iter().zip(&poses) {
@@ -67,6 +67,16 @@ fn polycam() {
 #[test]
 fn nerfstudio() {
     compare(Format::Nerfstudio, "walk", Walk::write_nerfstudio);
+}
+
+#[test]
+fn colmap() {
+    compare(Format::Colmap, "walk", |walk, folder| {
+        walk.write_colmap(folder, true)
+    });
+    compare(Format::Colmap, "walk", |walk, folder| {
+        walk.write_colmap(folder, false)
+    });
 }
 
 #[test]

@@ -246,6 +246,50 @@ impl Walk {
     }
 }
 
+impl Walk {
+    /// A COLMAP model, as text or binary.
+    pub fn write_colmap(&self, folder: &Path, is_text: bool) {
+        let k = self.camera.intrinsics;
+        let (width, height) = (self.camera.width, self.camera.height);
+        let parameters = [k.fx, k.fy, k.cx + 0.5, k.cy + 0.5];
+        let [fx, fy, cx, cy] = parameters;
+        let cameras = format!("# cameras\n1 PINHOLE {width} {height} {fx} {fy} {cx} {cy}\n");
+        let mut cameras_bin = 1_u64.to_le_bytes().to_vec();
+        cameras_bin.extend([1_u32, 1].iter().flat_map(|id| id.to_le_bytes()));
+        let size = [width as u64, height as u64];
+        cameras_bin.extend(size.iter().flat_map(|size| size.to_le_bytes()));
+        cameras_bin.extend(parameters.iter().flat_map(|value| value.to_le_bytes()));
+        let mut images = String::from("# images\n");
+        let mut images_bin = (self.frames.len() as u64).to_le_bytes().to_vec();
+        for (index, frame) in self.frames.iter().enumerate().rev() {
+            write(folder, &format!("images/left {index}.jpg"), &frame.jpeg);
+            write(
+                folder,
+                &format!("depth/left {index}.png"),
+                &png(&frame.depth_mm),
+            );
+            let (t, q) = parts(&frame.world_from_camera.inverse());
+            let pose = [q[3], q[0], q[1], q[2], t[0], t[1], t[2]];
+            let numbers = pose.map(|value| value.to_string()).join(" ");
+            writeln!(images, "{index} {numbers} 1 left {index}.jpg\n").unwrap();
+            images_bin.extend((index as u32).to_le_bytes());
+            images_bin.extend(pose.iter().flat_map(|value| value.to_le_bytes()));
+            images_bin.extend(1_u32.to_le_bytes());
+            images_bin.extend(format!("left {index}.jpg\0").bytes());
+            // Points that it saw.
+            images_bin.extend((index as u64).to_le_bytes());
+            images_bin.extend(vec![7; 24 * index]);
+        }
+        if is_text {
+            write(folder, "sparse/0/cameras.txt", cameras.as_bytes());
+            write(folder, "sparse/0/images.txt", images.as_bytes());
+        } else {
+            write(folder, "sparse/0/cameras.bin", &cameras_bin);
+            write(folder, "sparse/0/images.bin", &images_bin);
+        }
+    }
+}
+
 /// Position and quaternion, xyzw.
 fn parts(pose: &Se3) -> ([f64; 3], [f64; 4]) {
     let (t, q) = (pose.translation, pose.rotation.coords);
