@@ -70,7 +70,7 @@ PROBLEM: results will be wrong; the line below says what to change.
 
 Exit code: 0 no problem, 1 a problem or the recording cannot be opened, 2 usage error.")]
 pub struct DoctorArgs {
-    /// Folder of the recording
+    /// The recording: a folder or a file
     dataset: PathBuf,
     /// Settings file (TOML); only its camera table is used
     #[arg(long, value_name = "FILE")]
