@@ -9,7 +9,7 @@ use image::{ImageBuffer, Luma, RgbImage};
 use crate::readers::in_folder;
 
 /// The files of small recordings of one frame: a byte string of [`phone`] replaces one of them.
-const FILES: [(&str, &str, &[u8]); 10] = [
+const FILES: [(&str, &str, &[u8]); 14] = [
     (
         "record3d",
         "metadata",
@@ -42,10 +42,22 @@ const FILES: [(&str, &str, &[u8]); 10] = [
             [0, 0, 0, 1]]}]}"#,
     ),
     ("record3d", "rgbd/0.jpg", b""),
+    (
+        "colmap",
+        "sparse/0/cameras.txt",
+        b"1 OPENCV 8 6 8 8 4 3 0.01 0 0 0\n",
+    ),
+    (
+        "colmap",
+        "sparse/0/images.txt",
+        b"1 1 0 0 0 0 0 0 1 0.png\n\n",
+    ),
+    ("colmap", "sparse/0/cameras.bin", b""),
+    ("colmap", "sparse/0/images.bin", b""),
 ];
 
 /// Images of 8x6 and depth of 4x3 pixels.
-const IMAGES: [(&str, &str, &str); 4] = [
+const IMAGES: [(&str, &str, &str); 5] = [
     ("record3d", "rgbd/0.jpg", ""),
     ("stray", "rgb/000000.png", "depth/000000.png"),
     (
@@ -54,6 +66,7 @@ const IMAGES: [(&str, &str, &str); 4] = [
         "keyframes/depth/500000.png",
     ),
     ("nerfstudio", "0.png", "1.png"),
+    ("colmap", "images/0.png", "depth/0.png"),
 ];
 
 fn write_all(folder: &Path) {

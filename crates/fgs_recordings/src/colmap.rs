@@ -96,7 +96,7 @@ pub(crate) fn open(tree: Tree) -> Result<SourcedRecording, DataError> {
             color: ColorFile::Own(color),
             depth,
             confidence: None,
-            intrinsics: Some(resized(&lens.intrinsics, lens.size, size)),
+            intrinsics: Some(resized(&path, &lens.intrinsics, lens.size, size)?),
         });
         poses.push(photograph.pose);
     }
@@ -110,7 +110,7 @@ pub(crate) fn open(tree: Tree) -> Result<SourcedRecording, DataError> {
     let depth_coding = DepthCoding::Png {
         units_per_m: UNITS_PER_M as f32,
     };
-    let working = working_image(&tree, first, size, depth_coding, &path, common)?;
+    let working = working_image(&tree, &first.depth, size, depth_coding, &path, common)?;
     let distortion = distortion.filter(|values| *values != [0.0; 5]);
     let camera = CameraFile::new(*working.camera(), distortion, UNITS_PER_M);
     let timestamps: Vec<f64> = (0..frames.len())

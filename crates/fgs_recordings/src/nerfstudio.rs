@@ -114,7 +114,7 @@ pub(crate) fn open(tree: Tree) -> Result<SourcedRecording, DataError> {
     let depth_coding = DepthCoding::Png {
         units_per_m: units_per_m as f32,
     };
-    let working = working_image(&tree, first, color_size, depth_coding, &path, common)?;
+    let working = working_image(&tree, &first.depth, color_size, depth_coding, &path, common)?;
     let timestamps: Vec<f64> = (0..frames.len())
         .map(|index| index as f64 / FRAME_RATE_HZ)
         .collect();
@@ -221,6 +221,6 @@ impl Lens {
             return Err(fault(path, "w and h must be the images' size".into()));
         }
         let described = (described.0 as usize, described.1 as usize);
-        Ok(resized(&own, described, size))
+        resized(path, &own, described, size)
     }
 }

@@ -107,7 +107,7 @@ pub(crate) fn open(tree: Tree) -> Result<SourcedRecording, DataError> {
     let depth_coding = DepthCoding::Png {
         units_per_m: 1000.0,
     };
-    let working = working_image(&tree, first, size, depth_coding, &path, common)?;
+    let working = working_image(&tree, &first.depth, size, depth_coding, &path, common)?;
     Ok(SourcedRecording {
         format: Format::Polycam,
         camera: pinhole(*working.camera(), &path)?,
@@ -150,7 +150,7 @@ impl Camera {
             return Err(fault(path, "describes no camera".into()));
         }
         let own = Intrinsics { fx, fy, cx, cy };
-        Ok(resized(&own, (self.width, self.height), size))
+        resized(path, &own, (self.width, self.height), size)
     }
 
     fn pose(&self) -> Option<Se3> {

@@ -62,53 +62,58 @@ pub(crate) fn open(tree: Tree) -> Result<SourcedRecording, DataError> {
     let path = tree.shown(METADATA);
     let metadata = Metadata::read(&tree, &path)?;
     let numbers = frame_numbers(&tree)?;
-    let count = numbers.last().map_or(0, |last| last + 1);
-    let k = metadata.intrinsics(&path)?;
-    let size = (metadata.w, metadata.h);
-    let frames: Vec<TreeFrame> = numbers
-        .iter()
-        .map(|n| TreeFrame {
-            color: ColorFile::Own(color_name(*n)),
-            depth: format!("{IMAGES}/{n}.depth"),
-            confidence: Some(format!("{IMAGES}/{n}.conf")).filter(|name| tree.has(name)),
-            intrinsics: None,
-        })
-        .collect();
-    let (Some(first), Some(first_number)) = (frames.first(), numbers.first()) else {
+    let (Some(first), Some(last)) = (numbers.first(), numbers.last()) else {
         return Err(DataError::Empty {
             path: tree.shown(IMAGES),
             what: "frame of a colour and a depth image",
         });
     };
-    let color_size = size_of(&tree, &color_name(*first_number))?;
-    let described = match size {
-        (Some(w), Some(h)) if w > 0 && h > 0 => (w, h),
+    let count = last.saturating_add(1);
+    let color_size = size_of(&tree, &color_name(*first))?;
+    let described = match (metadata.w, metadata.h) {
+        (Some(width), Some(height)) => (width, height),
         _ => color_size,
     };
+    let of_images = |k: &Intrinsics| resized(&path, k, described, color_size);
+    let own = metadata.frame_intrinsics(&numbers, count);
+    let own: Vec<Intrinsics> = own
+        .iter()
+        .flatten()
+        .map(of_images)
+        .collect::<Result<_, _>>()?;
+    let common = match median(&own) {
+        Some(common) => common,
+        None => of_images(&metadata.intrinsics(&path)?)?,
+    };
+    let frame = |(place, number): (usize, &usize)| TreeFrame {
+        color: ColorFile::Own(color_name(*number)),
+        depth: format!("{IMAGES}/{number}.depth"),
+        confidence: Some(format!("{IMAGES}/{number}.conf")).filter(|name| tree.has(name)),
+        intrinsics: own.get(place).copied(),
+    };
+    let frames: Vec<TreeFrame> = numbers.iter().enumerate().map(frame).collect();
     let depth_coding = DepthCoding::Numbers {
         size: metadata.depth_size(&path, color_size)?,
     };
-    let own = metadata.frame_intrinsics(&numbers, count);
-    let common = own.as_deref().and_then(median).unwrap_or(k);
-    let common = resized(&common, described, color_size);
-    let working = working_image(&tree, first, color_size, depth_coding, &path, common)?;
+    let working = working_image(
+        &tree,
+        &format!("{IMAGES}/{first}.depth"),
+        color_size,
+        depth_coding,
+        &path,
+        common,
+    )?;
     let timestamps = metadata.timestamps(&numbers, count);
     let device_poses = metadata.poses(&path, &timestamps, &numbers, count);
-    let own = own.into_iter().flatten().map(Some);
-    let own = own.chain(std::iter::repeat(None));
-    let frames = frames.into_iter().zip(own).map(|(frame, own)| TreeFrame {
-        intrinsics: own.map(|own| resized(&own, described, color_size)),
-        ..frame
-    });
     Ok(SourcedRecording {
         format: Format::Record3d,
         camera: pinhole(*working.camera(), &path)?,
         timestamps,
         device_poses,
         source: Box::new(TreeFrames {
-            frames: frames.collect(),
             tree,
             video: None,
+            frames,
             depth_coding,
             working,
         }),

@@ -180,7 +180,7 @@ impl<'a> RosImage<'a> {
     pub fn depth_m(&self, path: &Path, size: (usize, usize)) -> Result<Image<f32>, DataError> {
         match self.encoding {
             Encoding::Raw {
-                name: name @ ("16UC1" | "mono16"),
+                name: "16UC1" | "mono16",
                 is_big_endian,
                 ..
             } => {
@@ -192,7 +192,6 @@ impl<'a> RosImage<'a> {
                         u16::from_le_bytes(*bytes)
                     }
                 });
-                debug_assert!(!name.is_empty());
                 let raw = into_image(values.collect(), path, size)?;
                 Ok(depth_from_raw(&raw, UNITS_PER_M, 0))
             }

@@ -88,7 +88,14 @@ pub(crate) fn open(tree: Tree) -> Result<SourcedRecording, DataError> {
     let depth_coding = DepthCoding::Png {
         units_per_m: 1000.0,
     };
-    let working = working_image(&tree, first, size, depth_coding, &camera_path, common)?;
+    let working = working_image(
+        &tree,
+        &first.depth,
+        size,
+        depth_coding,
+        &camera_path,
+        common,
+    )?;
     let timestamps: Vec<f64> = kept.iter().map(|row| row.timestamp_secs).collect();
     Ok(SourcedRecording {
         format: Format::StrayScanner,

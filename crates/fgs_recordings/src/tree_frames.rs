@@ -74,14 +74,14 @@ pub(crate) fn size_of(tree: &Tree, name: &str) -> Result<(usize, usize), DataErr
 /// If they do not fit together. `path` is the file that says what the camera is.
 pub(crate) fn working_image(
     tree: &Tree,
-    first: &TreeFrame,
+    first_depth: &str,
     (width, height): (usize, usize),
     depth_coding: DepthCoding,
     path: &Path,
     intrinsics: Intrinsics,
 ) -> Result<WorkingImage, DataError> {
     let depth_size = match depth_coding {
-        DepthCoding::Png { .. } => size_of(tree, &first.depth)?,
+        DepthCoding::Png { .. } => size_of(tree, first_depth)?,
         DepthCoding::Numbers { size } => size,
     };
     let native = Camera::new(width, height, intrinsics).map_err(|source| DataError::Camera {

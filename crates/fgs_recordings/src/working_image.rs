@@ -101,8 +101,7 @@ impl WorkingImage {
                 color_valid: None,
             };
         };
-        let (k, [x, y]) = (&self.camera.intrinsics, axes(&self.camera.intrinsics, &own));
-        debug_assert!(k.fx > 0.0);
+        let [x, y] = axes(&self.camera.intrinsics, &own);
         let map = PixelMap::new(Image::from_fn(
             self.camera.width,
             self.camera.height,

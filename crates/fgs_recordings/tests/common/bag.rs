@@ -1,7 +1,8 @@
 //! ROS 2 bags, by the `mcap` crate's writer; messages are put together by hand.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, HashSet};
 use std::fs::File;
+use std::ops::Range;
 use std::path::Path;
 
 use fgs_geom::Image;
@@ -83,7 +84,18 @@ impl Walk {
     }
 
     /// The same of some frames, as a recorder splits long bags.
-    pub fn write_bag_of(&self, path: &Path, transport: Transport, frames: std::ops::Range<usize>) {
+    pub fn write_bag_of(&self, path: &Path, transport: Transport, frames: Range<usize>) {
+        self.write_topics(path, transport, frames, |_| true);
+    }
+
+    /// The same of some topics.
+    pub fn write_topics(
+        &self,
+        path: &Path,
+        transport: Transport,
+        frames: Range<usize>,
+        is_wanted: impl Fn(&str) -> bool,
+    ) {
         let compression = match transport {
             Transport::JpegAndRaw => None,
             Transport::RawBigEndian => Some(Compression::Lz4),
@@ -94,12 +106,16 @@ impl Walk {
             .compression(compression)
             .chunk_size(Some(200_000));
         let mut writer = options.create(File::create(path).unwrap()).unwrap();
+        let mut wanted = HashSet::new();
         let mut topic = |name: &str, schema: &str| {
             let schema = format!("sensor_msgs/msg/{schema}");
             let schema = writer.add_schema(&schema, "ros2msg", b"").unwrap();
-            writer
-                .add_channel(schema, name, "cdr", &BTreeMap::new())
-                .unwrap()
+            let channel = writer.add_channel(schema, name, "cdr", &BTreeMap::new());
+            let channel = channel.unwrap();
+            if is_wanted(name) {
+                wanted.insert(channel);
+            }
+            channel
         };
         let (color, depth) = match transport {
             Transport::JpegAndRaw => ("CompressedImage", "Image"),
@@ -126,6 +142,9 @@ impl Walk {
             // Written some time after it was taken, depth first.
             let log_time = (1e9 * frame.secs) as u64 + 7_000_000;
             let mut send = |channel_id: u16, delay: u64, data: &[u8]| {
+                if !wanted.contains(&channel_id) {
+                    return;
+                }
                 let header = MessageHeader {
                     channel_id,
                     sequence: index as u32,
