@@ -19,11 +19,14 @@ fn open(path: &Path) -> Result<Dataset, String> {
     opened.map_err(|error| error.to_string())
 }
 
-/// Why it cannot be opened, or its first frame not be read.
+/// Why it cannot be opened, or one of its frames not be read.
 fn refusal(path: &Path) -> String {
     match open(path) {
         Err(error) => error,
-        Ok(dataset) => dataset.frame(0).unwrap_err().to_string(),
+        Ok(dataset) => {
+            let mut errors = (0..dataset.len()).filter_map(|index| dataset.frame(index).err());
+            errors.next().expect("all is read").to_string()
+        }
     }
 }
 
