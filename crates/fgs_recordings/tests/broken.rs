@@ -25,7 +25,7 @@ fn refusal(path: &Path) -> String {
         Err(error) => error,
         Ok(dataset) => {
             let mut errors = (0..dataset.len()).filter_map(|index| dataset.frame(index).err());
-            errors.next().expect("all is read").to_string()
+            errors.next().unwrap().to_string()
         }
     }
 }
