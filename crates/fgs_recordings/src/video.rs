@@ -133,7 +133,11 @@ impl Pipe {
         // A name that begins with a dash is no option, and one with a colon no protocol.
         let mut input = OsString::from("file:");
         input.push(path);
-        let mut program = Command::new(PROGRAM)
+        let mut command = Command::new(PROGRAM);
+        // Ctrl-C is for this program, which goes on to save.
+        #[cfg(unix)]
+        std::os::unix::process::CommandExt::process_group(&mut command, 0);
+        let mut program = command
             .args(["-v", "error", "-nostdin", "-protocol_whitelist", "file"])
             // As it was recorded, as depth is: not turned for those who look at it.
             .args(["-noautorotate", "-f", "mov", "-i"])
