@@ -12,6 +12,7 @@ mod export;
 mod failure;
 mod fly_through;
 mod image_size;
+mod import;
 mod interrupt;
 mod live;
 mod memory;
@@ -62,6 +63,7 @@ enum Command {
     Render(render::RenderArgs),
     View(view::ViewArgs),
     Export(export::ExportArgs),
+    Import(import::ImportArgs),
     Synth(synth::SynthArgs),
     Demo(demo::DemoArgs),
     Bench(bench::BenchArgs),
@@ -84,6 +86,7 @@ fn main() -> ExitCode {
         Command::Render(args) => render::run(&args),
         Command::View(args) => view::run(&args),
         Command::Export(args) => export::run(&args),
+        Command::Import(args) => import::run(&args),
         Command::Synth(args) => synth::run(&args),
         Command::Demo(args) => demo::run(&args),
         Command::Bench(args) => bench::run(&args),

@@ -39,9 +39,11 @@ Examples:
   fgs run --resume runs/desk
   fgs run recordings/desk-again --map runs/desk       goes on in a known place, once it is recognised
 
-The recording is a folder in the layout of TUM RGB-D (rgb.txt, depth.txt), Replica (results/),
-7-Scenes (frame-*.color.png), or has folders rgb/ and depth/ whose files correspond in the order of
-their names. Unless the layout includes the camera, put a camera.toml into the folder:
+The recording is that of a phone, a robot or another program (Record3D, Stray Scanner, Polycam, ROS 2 bags
+in MCAP, nerfstudio and COLMAP with depth; docs/recordings.md), or a folder in the layout of TUM RGB-D
+(rgb.txt, depth.txt), Replica (results/), 7-Scenes (frame-*.color.png), or with folders rgb/ and depth/
+whose files correspond in the order of their names. Unless the layout includes the
+camera, put a camera.toml into the folder:
 
   width = 640
   height = 480
@@ -79,7 +81,7 @@ its token. Whoever has the address can stop the run.
 Exit code: 0 done, 1 failed, 2 usage error, 130 stopped by Ctrl-C (the results so far are saved; a
 second Ctrl-C skips that). If a graphics device fails, the results so far are saved too.")]
 pub struct RunArgs {
-    /// Folder of the recording
+    /// The recording: a folder or a file
     #[arg(required_unless_present = "resume")]
     dataset: Option<PathBuf>,
     /// Write the map, in a form that can be gone on with, every so many seconds and at the end

@@ -613,7 +613,11 @@ fn what_is_mistyped_is_a_usage_error() {
     let path = folder.path();
     assert_says(&run(path, &["run", "rom"], 2), 2, &["rom does not exist"]);
     let file = "room/rgb.txt";
-    assert_says(&run(path, &["run", file], 2), 2, &[file, "is not a folder"]);
+    assert_says(
+        &run(path, &["run", file], 2),
+        2,
+        &[file, "holds no recording"],
+    );
     #[cfg(unix)]
     for (link, target, what) in [
         ("round", "round", "is a link that leads round in a circle"),

@@ -10,7 +10,7 @@ const NEIGHBORS: usize = 4;
 /// The pairs (colour, depth) of positions, in order of the colour image. Both lists of times, in
 /// seconds, are strictly increasing; no position is used twice, and times in a pair differ by at
 /// most `max_difference_secs`.
-pub(crate) fn associate(
+pub fn associate(
     color_secs: &[f64],
     depth_secs: &[f64],
     max_difference_secs: f64,

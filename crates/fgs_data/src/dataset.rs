@@ -10,8 +10,11 @@ use fgs_files::is_present;
 use fgs_geom::{Camera, CameraError, RgbdFrame};
 
 use crate::formats::FrameFiles;
-use crate::frame_loader::FrameLoader;
-use crate::{CameraFile, DataError, Format, FrameStream, SensorTimes, Trajectory, images};
+use crate::frame_loader::{FrameFilesSource, FrameLoader};
+use crate::{
+    CameraFile, DataError, Format, FrameImages, FrameStream, PoseOrigin, SensorTimes,
+    SourcedRecording, Trajectory, images,
+};
 
 /// How to open a recording.
 #[derive(Clone, Debug)]
@@ -40,6 +43,7 @@ pub struct Dataset {
     loader: Arc<FrameLoader>,
     camera_file: CameraFile,
     ground_truth: Result<Option<Trajectory>, DataError>,
+    pose_origin: PoseOrigin,
 }
 
 impl Dataset {
@@ -57,15 +61,61 @@ impl Dataset {
             Some(camera) => camera.clone(),
             None => find_camera(path, format, &recording.frames)?,
         };
+        let timestamps = recording.frames.iter().map(|frame| frame.timestamp_secs);
+        let timestamps: Arc<[f64]> = timestamps.collect();
+        let source = FrameFilesSource {
+            frames: recording.frames,
+            camera: *camera.camera(),
+            depth_scale: camera.depth_scale() as f32,
+            no_depth: recording.no_depth,
+        };
         Ok(Self {
             format,
-            loader: Arc::new(FrameLoader::new(
-                recording.frames,
-                recording.no_depth,
-                &camera,
-            )),
+            loader: Arc::new(FrameLoader::new(Arc::new(source), timestamps, &camera)),
             camera_file: camera,
             ground_truth: recording.ground_truth,
+            pose_origin: recording.pose_origin,
+        })
+    }
+
+    /// A recording whose images come from elsewhere. Its camera is the one of `options`, if there is
+    /// one, else its own.
+    ///
+    /// # Errors
+    /// If there is no frame, or the camera has another size than the images.
+    pub fn from_source(
+        path: &Path,
+        recording: SourcedRecording,
+        options: &OpenOptions,
+    ) -> Result<Self, DataError> {
+        if recording.timestamps.is_empty() {
+            return Err(DataError::Empty {
+                path: path.into(),
+                what: "frame",
+            });
+        }
+        let own = recording.camera;
+        let camera = options.camera.clone().unwrap_or_else(|| own.clone());
+        let size = |camera: &CameraFile| (camera.camera().width, camera.camera().height);
+        if size(&camera) != size(&own) {
+            return Err(DataError::ImageSize {
+                path: path.into(),
+                width: size(&own).0 as u32,
+                height: size(&own).1 as u32,
+                camera_width: size(&camera).0,
+                camera_height: size(&camera).1,
+            });
+        }
+        let (source, timestamps) = (recording.source.into(), recording.timestamps.into());
+        // Depth comes in metres; another scale says that they are not.
+        let loader = FrameLoader::new(source, timestamps, &camera)
+            .with_depth_factor((own.depth_scale() / camera.depth_scale()) as f32);
+        Ok(Self {
+            format: recording.format,
+            loader: Arc::new(loader),
+            camera_file: camera,
+            ground_truth: recording.device_poses,
+            pose_origin: PoseOrigin::Device,
         })
     }
 
@@ -100,22 +150,24 @@ impl Dataset {
         reason = "an empty recording cannot be opened"
     )]
     pub fn len(&self) -> usize {
-        self.loader.frames().len()
+        self.loader.timestamps().len()
     }
 
     /// Timestamp of each frame, seconds, strictly increasing. Layouts without timestamps get 30
     /// frames per second, starting at 0.
     pub fn timestamps(&self) -> impl ExactSizeIterator<Item = f64> {
-        self.loader
-            .frames()
-            .iter()
-            .map(|frame| frame.timestamp_secs)
+        self.loader.timestamps().iter().copied()
     }
 
-    /// Ground-truth poses, at exactly the timestamps of their frames (see [`Trajectory::at`]). Some
+    /// The poses that come with the recording, at exactly the timestamps of their frames (see [`Trajectory::at`]). Some
     /// frames may lack one; `None` if all do.
     pub fn ground_truth(&self) -> Option<&Trajectory> {
         self.ground_truth.as_ref().ok()?.as_ref()
+    }
+
+    /// Where [`Self::ground_truth`] comes from: whether it is the truth.
+    pub fn pose_origin(&self) -> PoseOrigin {
+        self.pose_origin
     }
 
     /// Why the recording's poses cannot be used, if it has any. Everything else can.
@@ -130,6 +182,14 @@ impl Dataset {
     /// camera's size, or is not an 8-bit colour or 16-bit depth image.
     pub fn frame(&self, index: usize) -> Result<RgbdFrame, DataError> {
         self.loader.load(index)
+    }
+
+    /// Reads one frame's images as the lens drew them.
+    ///
+    /// # Errors
+    /// Those of [`Self::frame`].
+    pub fn images(&self, index: usize) -> Result<FrameImages, DataError> {
+        self.loader.images(index)
     }
 
     /// The frames of a range, clipped to the recording, in order and prefetched. A frame that

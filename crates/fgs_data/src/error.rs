@@ -130,6 +130,22 @@ pub enum DataError {
         /// The key, its value and what was expected.
         source: CameraError,
     },
+    /// A recording in another program's format that cannot be used.
+    #[error("{}: {message}", path.display())]
+    Recording {
+        /// The file, or the one in it.
+        path: PathBuf,
+        /// What is wrong, in plain words.
+        message: String,
+    },
+    /// A path that holds no recording of any known kind.
+    #[error(
+        "{} holds no recording that is understood: a folder with rgb.txt and depth.txt (TUM), results/ \
+         (Replica), frame-*.color.png (7-Scenes), or rgb/ and depth/; a Record3D file (.r3d); a Stray \
+         Scanner folder (odometry.csv); a ROS 2 bag in MCAP; transforms.json with depth images \
+         (nerfstudio); Polycam's raw data (keyframes/); or a COLMAP model with depth images", .0.display()
+    )]
+    UnknownRecording(PathBuf),
     /// An image that cannot be decoded.
     #[error("{}: {message}", path.display())]
     Image {
@@ -237,7 +253,8 @@ impl DataError {
             | Self::NoSuchFolder(_)
             | Self::NotAFolder(_)
             | Self::NotUtf8(_)
-            | Self::UnknownFormat(_) => true,
+            | Self::UnknownFormat(_)
+            | Self::UnknownRecording(_) => true,
             Self::Line { fault, .. } => *fault == LineFault::Utf16,
             Self::Io { source, .. } => source.kind() == std::io::ErrorKind::InvalidInput,
             _ => false,

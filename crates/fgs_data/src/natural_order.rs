@@ -38,7 +38,8 @@ pub(crate) fn is_image_name(name: &str) -> bool {
         .any(|known| extension.eq_ignore_ascii_case(known))
 }
 
-fn natural_order(a: &str, b: &str) -> Ordering {
+/// Compares names, runs of digits as numbers.
+pub fn natural_order(a: &str, b: &str) -> Ordering {
     let (mut a, mut b) = (a, b);
     while !a.is_empty() && !b.is_empty() {
         let (run_a, rest_a) = split_run(a);

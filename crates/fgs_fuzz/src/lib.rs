@@ -11,18 +11,22 @@
 
 mod numbers;
 mod readers;
+mod recordings;
 
 pub use numbers::{align, model_step};
 pub use readers::{
     camera_file, color_image, depth_image, lists, map, matrices, run_folder, settings, trajectory,
 };
+pub use recordings::{archive, bag, phone};
 
 /// A target by its name.
 pub type Target = (&'static str, fn(&[u8]));
 
 /// All of them. A target's corpus is `fuzz/corpus/NAME`.
-pub const TARGETS: [Target; 11] = [
+pub const TARGETS: [Target; 14] = [
     ("align", align),
+    ("archive", archive),
+    ("bag", bag),
     ("camera_file", camera_file),
     ("color_image", color_image),
     ("depth_image", depth_image),
@@ -30,6 +34,7 @@ pub const TARGETS: [Target; 11] = [
     ("map", map),
     ("matrices", matrices),
     ("model_step", model_step),
+    ("phone", phone),
     ("run_folder", run_folder),
     ("settings", settings),
     ("trajectory", trajectory),

@@ -13,7 +13,11 @@ const CAMERA: &str =
     "width = 8\nheight = 6\nfx = 8.0\nfy = 8.0\ncx = 3.5\ncy = 2.5\ndepth_scale = 1000.0\n";
 
 /// A folder of this thread, made once.
-fn in_folder<T>(make: fn(&Path), name: &'static str, work: impl FnOnce(&Path) -> T) -> T {
+pub(crate) fn in_folder<T>(
+    make: fn(&Path),
+    name: &'static str,
+    work: impl FnOnce(&Path) -> T,
+) -> T {
     thread_local! {
         static FOLDERS: OnceCell<TempDir> = const { OnceCell::new() };
     }

@@ -257,6 +257,7 @@ fn metrics(
         further_submaps: output.further.len(),
         interrupted: stop.load(Ordering::Relaxed),
         failure: output.failure.as_ref().map(ToString::to_string),
+        reference_is_device: false,
         scores: Scores::default(),
         lpips: None,
         fps: (seconds > 0.0).then(|| rows.len() as f64 / seconds),

@@ -7,7 +7,7 @@
 use std::iter;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-use fgs_data::{Dataset, Trajectory};
+use fgs_data::{Dataset, PoseOrigin, Trajectory};
 use fgs_eval::{EvalError, ate, depth_error, image_quality, rpe};
 use fgs_geom::{Camera, Image, RgbdFrame, Se3, View};
 use fgs_splat::{Gaussians, Rasterizer};
@@ -28,7 +28,7 @@ const FRAMES_AT_ONCE: usize = 16;
 const PIXELS_AT_ONCE: usize = 5_000_000;
 
 impl RunResult {
-    /// Fills in the trajectory's errors where the recording has ground truth.
+    /// Fills in the trajectory's errors where the recording has poses, and says whether they are the truth.
     ///
     /// # Errors
     /// If a pose is too large to compute with.
@@ -40,6 +40,7 @@ impl RunResult {
         let (estimated, reference): (Vec<Se3>, Vec<Se3>) = poses
             .filter_map(|pose| Some((pose.world_from_camera, truth.at(pose.timestamp_secs)?)))
             .unzip();
+        self.metrics.reference_is_device = dataset.pose_origin() == PoseOrigin::Device;
         self.metrics.scores.set_trajectory(&TrajectoryErrors {
             ate: unless_too_few(ate(&estimated, &reference))?,
             rpe: unless_too_few(rpe(&estimated, &reference, 1))?,

@@ -40,6 +40,10 @@ pub struct Metrics {
     pub interrupted: bool,
     /// Why mapping failed, which ended the run early.
     pub failure: Option<String>,
+    /// Whether the trajectory's errors are differences from the device's own poses, which are estimates too.
+    /// Left out if they are from the truth.
+    #[serde(default, skip_serializing_if = "is_false")]
+    pub reference_is_device: bool,
     /// How good trajectory and map are; the keys are the names in [`SCORES`](crate::SCORES).
     #[serde(flatten)]
     pub scores: Scores,
@@ -111,6 +115,11 @@ fn is_zero(count: &usize) -> bool {
     *count == 0
 }
 
+#[allow(clippy::trivially_copy_pass_by_ref)]
+fn is_false(value: &bool) -> bool {
+    !value
+}
+
 impl Metrics {
     /// Reads a run's metrics.
     ///
@@ -166,6 +175,10 @@ impl Metrics {
         }
         for (name, text) in self.scores.shown() {
             line(name, text);
+        }
+        if self.reference_is_device {
+            let text = "of ATE: the device's own poses, which are estimates too";
+            line("reference", text.into());
         }
         if let (Some(fps), Some(tracking)) = (self.fps, self.tracking_ms) {
             let iterations = self.iterations_per_frame.unwrap_or_default();

@@ -6,6 +6,7 @@ use std::ffi::OsString;
 use std::path::{Component, Path, PathBuf};
 
 use fgs_data::{CameraFile, DataError, Dataset, OpenOptions};
+use fgs_recordings::open;
 
 use crate::error::RunError;
 use crate::settings::Settings;
@@ -24,7 +25,7 @@ pub fn open_recording(
         settings.run.camera_overrides = Some(true);
     }
     let with = |camera: Option<CameraFile>| {
-        Dataset::open(
+        open(
             folder,
             &OpenOptions {
                 camera,
@@ -57,10 +58,16 @@ pub(crate) fn check_size(dataset: &Dataset, index: usize) -> Result<(), RunError
     }
 }
 
-/// A name for the recording: that of its folder, also for paths such as `.`.
+/// A name for the recording: that of its folder, also for paths such as `.`, or of its file without the
+/// extension.
 pub fn recording_name(folder: &Path) -> OsString {
     let path = folder.canonicalize().unwrap_or_else(|_| folder.to_owned());
-    path.file_name().unwrap_or("run".as_ref()).to_owned()
+    let name = if path.is_file() {
+        path.file_stem()
+    } else {
+        path.file_name()
+    };
+    name.unwrap_or("run".as_ref()).to_owned()
 }
 
 /// The way from a folder, which need not exist, to a path that does: `../../room`. Where there is none,

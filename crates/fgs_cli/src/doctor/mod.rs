@@ -37,7 +37,7 @@ mod valid_depth;
 use std::path::PathBuf;
 
 use clap::Args;
-use fgs_data::{Dataset, Format};
+use fgs_data::{Dataset, Format, PoseOrigin};
 use fgs_geom::{Camera, Se3};
 use fgs_run::{Settings, open_recording};
 use nalgebra::Vector3;
@@ -70,7 +70,7 @@ PROBLEM: results will be wrong; the line below says what to change.
 
 Exit code: 0 no problem, 1 a problem or the recording cannot be opened, 2 usage error.")]
 pub struct DoctorArgs {
-    /// Folder of the recording
+    /// The recording: a folder or a file
     dataset: PathBuf,
     /// Settings file (TOML); only its camera table is used
     #[arg(long, value_name = "FILE")]
@@ -215,6 +215,7 @@ fn found(dataset: &Dataset, times: &[f64], frames_read: usize) -> Found {
         known_poses: dataset
             .ground_truth()
             .map_or(0, |truth| truth.poses().len()),
+        poses_are_of_device: dataset.pose_origin() == PoseOrigin::Device,
         duration_secs: duration.unwrap_or(0.0),
         width: camera.width,
         height: camera.height,

@@ -78,8 +78,10 @@ pub struct Found {
     pub frames: usize,
     /// Number of frames that were read.
     pub frames_read: usize,
-    /// Frames with a ground-truth pose; 0 without ground truth.
+    /// Frames with a pose; 0 without poses.
     pub known_poses: usize,
+    /// Whether these poses are the device's own estimates.
+    pub poses_are_of_device: bool,
     /// From the first frame to the last, seconds.
     pub duration_secs: f64,
     /// Columns of the images.
@@ -153,6 +155,10 @@ impl fmt::Display for Report {
         )?;
         match found.known_poses {
             0 => writeln!(f, "  ground truth  none")?,
+            n if found.poses_are_of_device => writeln!(
+                f,
+                "  ground truth  none; the device's own poses of {n} frames, which are estimates"
+            )?,
             n => writeln!(f, "  ground truth  poses of {n} frames")?,
         }
         writeln!(f, "checks")?;

@@ -4,8 +4,8 @@ use std::collections::HashSet;
 use std::path::{Path, PathBuf};
 
 use super::{Recording, frames_at_default_rate, poses};
-use crate::DataError;
 use crate::natural_order::{is_image_name, sorted_names};
+use crate::{DataError, PoseOrigin};
 
 /// The folder of colour images, by the first of its usual names.
 pub(super) fn color_folder(folder: &Path) -> Option<PathBuf> {
@@ -30,13 +30,15 @@ pub(super) fn list(folder: &Path) -> Result<Recording, DataError> {
         });
     }
     let frames = frames_at_default_rate(colors.into_iter().zip(depths))?;
-    let ground_truth = match poses::read_matrix_per_line(folder, &frames, &color_folder) {
-        Ok(None) => poses::read_ground_truth(folder, &frames, &color_folder),
-        known => known,
-    };
+    let (ground_truth, pose_origin) =
+        match poses::read_matrix_per_line(folder, &frames, &color_folder) {
+            Ok(None) => poses::read_trajectory(folder, &frames, &color_folder),
+            known => (known, PoseOrigin::GroundTruth),
+        };
     Ok(Recording {
         frames,
         ground_truth,
+        pose_origin,
         no_depth: 0,
     })
 }

@@ -15,13 +15,14 @@ use std::path::{Path, PathBuf};
 
 use fgs_files::{check_regular, is_present};
 
-use crate::{DataError, Trajectory};
+use crate::{DataError, PoseOrigin, Trajectory};
 
 /// Layouts without time stamps are given those of a sensor of this rate, frames a second: the one
 /// of the sensors and renderings that these layouts hold.
 const FRAME_RATE_HZ: f64 = 30.0;
 
-/// How a recording is laid out in its folder.
+/// How a recording is laid out: in a plain folder, which this crate reads, or as another program writes
+/// it, which crate `fgs_recordings` reads.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Format {
     /// TUM RGB-D: `rgb.txt` and `depth.txt`, or `associations.txt`; optionally `groundtruth.txt`.
@@ -34,6 +35,18 @@ pub enum Format {
     /// A folder `rgb`, `color`, `image` or `images` and a folder `depth`, paired in natural order
     /// of their file names; optionally `traj.txt` or `groundtruth.txt`.
     Folders,
+    /// Record3D's `.r3d`, or the folder in it.
+    Record3d,
+    /// Stray Scanner's folder.
+    StrayScanner,
+    /// A ROS 2 bag in MCAP.
+    Mcap,
+    /// nerfstudio's `transforms.json` with depth images.
+    Nerfstudio,
+    /// Polycam's raw data.
+    Polycam,
+    /// COLMAP's model with depth images.
+    Colmap,
 }
 
 impl fmt::Display for Format {
@@ -43,6 +56,12 @@ impl fmt::Display for Format {
             Self::Replica => "Replica",
             Self::SevenScenes => "7-Scenes",
             Self::Folders => "folders",
+            Self::Record3d => "Record3D",
+            Self::StrayScanner => "Stray Scanner",
+            Self::Mcap => "ROS 2 bag (MCAP)",
+            Self::Nerfstudio => "nerfstudio",
+            Self::Polycam => "Polycam",
+            Self::Colmap => "COLMAP",
         })
     }
 }
@@ -52,6 +71,8 @@ pub(crate) struct Recording {
     pub frames: Vec<FrameFiles>,
     /// The known poses at exactly the frames' times, or why they cannot be used.
     pub ground_truth: Result<Option<Trajectory>, DataError>,
+    /// Whether they are the truth.
+    pub pose_origin: PoseOrigin,
     /// The value in depth images that means "none", besides 0.
     pub no_depth: u16,
 }
@@ -65,7 +86,7 @@ pub(crate) struct FrameFiles {
 }
 
 impl Format {
-    /// The layout of a folder, by the names in it.
+    /// The plain layout of a folder, by the names in it.
     pub(crate) fn of(folder: &Path) -> Result<Self, DataError> {
         if !folder.is_dir() {
             return Err(match check_regular(folder) {
@@ -106,6 +127,7 @@ impl Format {
             Self::Replica => replica::list(folder),
             Self::SevenScenes => seven_scenes::list(folder),
             Self::Folders => folders::list(folder),
+            _ => Err(DataError::UnknownFormat(folder.into())),
         }
     }
 }

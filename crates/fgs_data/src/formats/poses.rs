@@ -10,7 +10,7 @@ use nalgebra::Matrix4;
 use super::{FrameFiles, no_overlap};
 use crate::lines::{Line, Lines};
 use crate::trajectory::check_position;
-use crate::{DataError, LineFault, Trajectory};
+use crate::{DataError, LineFault, PoseOrigin, Trajectory};
 
 /// Poses are interpolated over at most this long: a hand accelerating at 2 m/s^2 strays
 /// 2 * 0.1^2 / 8 m = 2.5 mm from the straight line meanwhile.
@@ -42,16 +42,32 @@ pub(super) fn read_matrix_per_line(
     Trajectory::new(frames.iter().map(|frame| frame.timestamp_secs).zip(poses)).map(Some)
 }
 
-/// `groundtruth.txt`, if the folder has it: the poses of those frames that it brackets in time.
-pub(super) fn read_ground_truth(
+/// `groundtruth.txt`, else `device_poses.txt`, if the folder has one: the poses of those frames that it
+/// brackets in time.
+pub(super) fn read_trajectory(
     folder: &Path,
     frames: &[FrameFiles],
     frames_path: &Path,
-) -> Result<Option<Trajectory>, DataError> {
-    let path = &folder.join("groundtruth.txt");
-    if !is_present(path) {
-        return Ok(None);
+) -> (Result<Option<Trajectory>, DataError>, PoseOrigin) {
+    let known = [
+        ("groundtruth.txt", PoseOrigin::GroundTruth),
+        ("device_poses.txt", PoseOrigin::Device),
+    ];
+    let present = known
+        .map(|(name, origin)| (folder.join(name), origin))
+        .into_iter()
+        .find(|(path, _)| is_present(path));
+    match present {
+        None => (Ok(None), PoseOrigin::GroundTruth),
+        Some((path, origin)) => (at_frames(&path, frames, frames_path).map(Some), origin),
     }
+}
+
+fn at_frames(
+    path: &Path,
+    frames: &[FrameFiles],
+    frames_path: &Path,
+) -> Result<Trajectory, DataError> {
     let recorded = Trajectory::read(path)?;
     let at_frames = Trajectory::new(frames.iter().filter_map(|frame| {
         let pose = recorded.interpolate(frame.timestamp_secs, MAX_POSE_GAP_SECS)?;
@@ -65,7 +81,7 @@ pub(super) fn read_ground_truth(
             (frames_path, &frame_secs),
         ));
     }
-    Ok(Some(at_frames))
+    Ok(at_frames)
 }
 
 /// One matrix in four lines of four numbers.

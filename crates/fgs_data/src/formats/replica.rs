@@ -4,8 +4,8 @@
 use std::path::Path;
 
 use super::{Recording, frames_at_default_rate, poses};
-use crate::DataError;
 use crate::natural_order::{is_image_name, sorted_names};
+use crate::{DataError, PoseOrigin};
 
 pub(super) fn list(folder: &Path) -> Result<Recording, DataError> {
     let results = folder.join("results");
@@ -25,6 +25,7 @@ pub(super) fn list(folder: &Path) -> Result<Recording, DataError> {
     }
     Ok(Recording {
         ground_truth: poses::read_matrix_per_line(folder, &frames, &results),
+        pose_origin: PoseOrigin::GroundTruth,
         frames,
         no_depth: 0,
     })

@@ -6,7 +6,7 @@ use fgs_files::is_present;
 
 use super::{FrameFiles, Recording, frames_at_default_rate, poses};
 use crate::natural_order::{is_image_name, sorted_names};
-use crate::{DataError, Trajectory};
+use crate::{DataError, PoseOrigin, Trajectory};
 
 /// The sensor's mark for "no measurement".
 const NO_DEPTH: u16 = 65535;
@@ -30,6 +30,7 @@ pub(super) fn list(folder: &Path) -> Result<Recording, DataError> {
     let ground_truth = read_poses(folder, &frames, ids().map(|(_, id)| id));
     Ok(Recording {
         ground_truth,
+        pose_origin: PoseOrigin::GroundTruth,
         frames,
         no_depth: NO_DEPTH,
     })

@@ -21,8 +21,10 @@ pub(super) fn list(folder: &Path, max_difference_secs: f64) -> Result<Recording,
             color_list,
         )
     };
+    let (ground_truth, pose_origin) = poses::read_trajectory(folder, &frames, &frames_path);
     Ok(Recording {
-        ground_truth: poses::read_ground_truth(folder, &frames, &frames_path),
+        ground_truth,
+        pose_origin,
         frames,
         no_depth: 0,
     })

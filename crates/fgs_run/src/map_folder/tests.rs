@@ -148,14 +148,14 @@ fn a_newer_version_and_a_folder_without_a_map_are_refused() {
     let text = fs::read_to_string(&path).unwrap();
     let (_, entries) = text.split_once('\n').unwrap();
     let (entries, _) = entries.split_once('\n').unwrap();
-    let content = format!("{MAGIC}3\nsomething else\n{entries}");
+    let content = format!("{MAGIC}{}\nsomething else\n{entries}", VERSION + 1);
     let newer = format!("{content}\n{:08x}\n", crc32(content.as_bytes()));
     fs::write(&path, newer).unwrap();
     let error = MapFolder::open(folder.path()).unwrap_err();
     assert!(
         error
             .to_string()
-            .ends_with("is of version 3; this program reads version 2")
+            .ends_with("is of version 4; this program reads version 3")
     );
     fs::remove_file(path).unwrap();
     let error = MapFolder::open(folder.path()).unwrap_err();

@@ -150,6 +150,7 @@ fn trajectory(run: &RunData) -> io::Result<Markup> {
         p.note {
             "Metres, in the axes of the map's first camera: x right, y down, z forward. "
             @if run.has_reference() { "The reference is aligned by a rigid motion. " }
+            @if run.metrics.reference_is_device { "It is the device's own estimate, not the truth. " }
             @else { "The recording has no reference trajectory. " }
             @if first_lost > 0 { "The first pose is that of frame " (run.rows[first_lost].index) "." }
         }
