@@ -245,6 +245,9 @@ fn information(rows: &[Vec<Row>], exposures: &[Exposure], noise: f64) -> Matrix6
         let inverse = by_exposure.try_inverse().unwrap_or_else(Matrix2::zeros);
         information -= mixed.transpose() * inverse * mixed;
     }
+    if !information.iter().all(|value| value.is_finite()) {
+        return Matrix6::zeros();
+    }
     let eigen = (0.5 * (information + information.transpose())).symmetric_eigen();
     let known = eigen.eigenvalues.map(|known| known.max(0.0));
     eigen.eigenvectors * Matrix6::from_diagonal(&known) * eigen.eigenvectors.transpose()

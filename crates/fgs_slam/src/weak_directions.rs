@@ -53,7 +53,11 @@ pub fn held_information(
     // As much as the registration knows, along other directions.
     let claimed = alignment.information(sensor_noise_m);
     let of_position = |information: &Matrix6<f64>| information.fixed_view::<3, 3>(3, 3).trace();
-    let sum = sum * (of_position(&claimed) / of_position(&sum).max(f64::MIN_POSITIVE));
+    let sum = sum * (of_position(&claimed) / of_position(&sum));
+    if !sum.iter().all(|value| value.is_finite()) {
+        // No pairs, or disks as thick as wide, which have no normals.
+        return claimed;
+    }
     let per_point = of_position(&claimed) / source.len().max(1) as f64;
     // In coordinates in which points that are known alike in all directions give the identity.
     let Some(lower) = isotropic(source, per_point).cholesky().map(|c| c.l()) else {
@@ -210,6 +214,25 @@ mod tests {
         let (alignment, held) = registered(&normals, &Se3::exp(&Vector6::repeat(0.004)));
         let claimed = alignment.information(NOISE_M);
         assert!((held - claimed).norm() <= 0.05 * claimed.norm());
+    }
+
+    #[test]
+    fn disks_without_normals_or_pairs_leave_the_claim() {
+        let (alignment, _) = registered(&[Vector3::z()], &Se3::identity());
+        let claimed = alignment.information(NOISE_M);
+        let disks = disks(&[Vector3::z()], 7);
+        let held = |thickness| {
+            let nothing = PointMap::new(0.2);
+            held_information(
+                &alignment,
+                &disks,
+                &nothing,
+                thickness,
+                MAX_DISTANCE_M,
+                NOISE_M,
+            )
+        };
+        assert!(held(THICKNESS) == claimed && held(1.0) == claimed);
     }
 
     #[test]
