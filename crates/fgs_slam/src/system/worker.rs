@@ -473,11 +473,8 @@ impl MapperWorker {
             .num_gaussians
             .store(gaussians, Ordering::Relaxed);
         self.status.steps.store(steps, Ordering::Relaxed);
-        if self.events.take_snapshot_request() {
-            let gaussians = Arc::new(self.mapper.gaussians()?);
-            self.events.publish(|| SlamEvent::Snapshot(gaussians));
-        }
-        Ok(())
+        let mapper = &mut self.mapper;
+        self.events.publish_snapshot(|| mapper.gaussians())
     }
 }
 
