@@ -145,6 +145,11 @@ impl SavedMapping {
         }
     }
 
+    /// The map.
+    pub fn gaussians(&self) -> &Gaussians {
+        &self.model.gaussians
+    }
+
     /// The keyframes whose images the map is optimised with.
     pub fn views(&self) -> impl Iterator<Item = KeyframeId> {
         self.model.views.iter().map(|view| view.id)
