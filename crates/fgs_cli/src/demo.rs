@@ -53,6 +53,7 @@ pub fn run(args: &DemoArgs) -> anyhow::Result<u8> {
             .model(&settings.mapping, cache.as_deref())
             .map_err(explain)?;
     }
+    let listener = args.live.listen()?;
     let folder = args.out.clone().unwrap_or_else(first_free);
     args.threads.apply()?;
     let stop = interrupt::stop_flag()?;
@@ -75,7 +76,8 @@ pub fn run(args: &DemoArgs) -> anyhow::Result<u8> {
         ..RunOptions::default()
     };
     let (plan, model) = Plan::resolve(&options).map_err(explain)?;
-    let exit_code = execute(&plan, model, &args.live, console, &stop)?;
+    let live = listener.map(|listener| (listener, "demo"));
+    let exit_code = execute(&plan, model, live, console, &stop)?;
     let out = plan.folder.path().display();
     console.say(format!(
         "

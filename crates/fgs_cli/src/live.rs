@@ -5,9 +5,9 @@ use std::sync::atomic::AtomicBool;
 
 use anyhow::Context;
 use clap::Args;
-use fgs_run::{Plan, RunError, RunEvent, RunObserver, RunResult, recording_name};
+use fgs_run::{Plan, RunError, RunEvent, RunObserver, RunResult};
 use fgs_slam::Slam;
-use fgs_view::{Address, LiveView};
+use fgs_view::{Address, Listener, LiveView};
 use serde_json::json;
 
 use crate::console::{Console, complain};
@@ -23,34 +23,39 @@ pub struct Live {
 }
 
 impl Live {
-    /// Serves the page, if it is wanted, and says where it is.
+    /// Listens for browsers, if a page is wanted. Comes before anything is written.
     ///
     /// # Errors
     /// If the address cannot be listened at.
-    pub fn start(
-        &self,
-        plan: &Plan,
-        console: Console,
-        stop: &Arc<AtomicBool>,
-    ) -> anyhow::Result<Option<LiveView>> {
+    pub fn listen(&self) -> anyhow::Result<Option<Listener>> {
         let Some(address) = &self.live else {
             return Ok(None);
         };
         let address = address.clone().unwrap_or_default();
-        let title = recording_name(&plan.dataset_path);
-        let view = LiveView::start(
-            &address,
-            &title.to_string_lossy(),
-            plan.dataset.camera(),
-            plan.frames_left().len(),
-            Arc::clone(stop),
-        )
-        .with_context(|| format!("--live: cannot listen at {address}"))?;
-        let url = view.server().url();
-        console.event("live", json!({ "url": url }));
-        console.say(format!("live page  {url}"));
-        Ok(Some(view))
+        let listener = Listener::bind(&address)
+            .with_context(|| format!("--live: cannot listen at {address}"))?;
+        Ok(Some(listener))
     }
+}
+
+/// Serves the page of a run, and says where it is.
+///
+/// # Errors
+/// If no thread starts.
+pub fn start(
+    listener: Listener,
+    title: &str,
+    plan: &Plan,
+    console: Console,
+    stop: &Arc<AtomicBool>,
+) -> anyhow::Result<LiveView> {
+    let (camera, frames) = (plan.dataset.camera(), plan.frames_left().len());
+    let view = LiveView::start(listener, title, camera, frames, Arc::clone(stop))
+        .context("--live: cannot serve a page")?;
+    let url = view.server().url();
+    console.event("live", json!({ "url": url }));
+    console.say(format!("live page  {url}"));
+    Ok(view)
 }
 
 /// All who look on: at the terminal, and in a browser.

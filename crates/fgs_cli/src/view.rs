@@ -10,16 +10,16 @@ use std::time::Duration;
 use anyhow::{Context, bail};
 use clap::Args;
 use fgs_data::Trajectory;
-use fgs_geom::Se3;
+use fgs_geom::{Camera, RgbdFrame, Se3};
 use fgs_run::{
-    CONFIG, FinishedRun, OutputFolder, RunError, RunFolder, RunResult, Settings, TRAJECTORY,
-    recording_name,
+    CONFIG, FinishedRun, MapFolder, OutputFolder, RunError, RunFolder, RunResult, Settings,
+    TRAJECTORY, recording_name,
 };
 use fgs_splat::Gaussians;
 use fgs_view::{Address, KeyframePictures, Site, SiteKeyframe, Summary};
 
 use crate::console::Console;
-use crate::failure::{EXIT_DONE, EXIT_INTERRUPTED};
+use crate::failure::{EXIT_DONE, EXIT_INTERRUPTED, UsageError};
 use crate::interrupt;
 use crate::threads::Threads;
 
@@ -34,12 +34,15 @@ const POLL: Duration = Duration::from_millis(100);
 Examples:
   fgs view runs/desk                       http://127.0.0.1:7070/
   fgs view runs/desk/map.ply               a map alone, with trajectory.txt beside it if there is one
+  fgs view runs/desk.map                   the map of the last checkpoint (fgs run --checkpoint-every)
   fgs view runs/desk --export desk-pages   pages for any web server: cd desk-pages; python3 -m http.server
+
+A run that was killed has left no results: what is shown of it is its last checkpoint.
 
 From another machine: `ssh -L 7070:localhost:7070 HOST`, or `--address 0.0.0.0:7070` and the address that
 is printed, with its token.")]
 pub struct ViewArgs {
-    /// Folder of a run, or a PLY file
+    /// Folder of a run or of a map with checkpoints, or a PLY file
     #[arg(value_name = "RUN|MAP")]
     source: PathBuf,
     /// Write the pages into a folder in place of serving them
@@ -61,18 +64,34 @@ pub fn run(args: &ViewArgs) -> anyhow::Result<u8> {
     let claimed = claimed.transpose().map_err(RunError::from)?;
     args.threads.apply()?;
     let stop = interrupt::stop_flag()?;
-    let site = if args.source.is_dir() {
-        of_run(&args.source, &stop)
-    } else {
-        of_map(&args.source)
-    };
-    let site = match site {
+    let site = match open(&args.source, &stop) {
         Err(error) if is_interruption(&error) => return Ok(EXIT_INTERRUPTED),
         site => site?,
     };
     match claimed {
         Some(folder) => write(&site, &folder),
         None => serve(site, &args.address, &stop),
+    }
+}
+
+/// Pages of whatever there is: results before checkpoints.
+fn open(source: &Path, stop: &AtomicBool) -> anyhow::Result<Site> {
+    if let Ok(folder) = RunFolder::open(source) {
+        return of_run(&folder, stop);
+    }
+    if source.is_file() {
+        return of_map(source);
+    }
+    match MapFolder::open(source) {
+        Ok(folder) => of_checkpoint(&folder, stop),
+        Err(RunError::NoMap { path }) if path.is_dir() => {
+            let path = path.display();
+            bail!(UsageError(format!(
+                "{path} is not the folder of a run: it has no {CONFIG}, nor is there a map of checkpoints"
+            )))
+        }
+        Err(RunError::NoMap { path }) => of_map(&path),
+        Err(error) => Err(error.into()),
     }
 }
 
@@ -83,9 +102,9 @@ fn is_interruption(error: &anyhow::Error) -> bool {
 
 /// Pages of a run: its map (the refined one if there is one), with pictures of keyframes. Photographs are
 /// there if the recording is where it was.
-fn of_run(path: &Path, stop: &AtomicBool) -> anyhow::Result<Site> {
-    let folder = RunFolder::open(path)?;
-    let result = RunResult::read(&folder)?;
+fn of_run(folder: &RunFolder, stop: &AtomicBool) -> anyhow::Result<Site> {
+    let path = folder.path();
+    let result = RunResult::read(folder)?;
     let map = result.refined.as_ref().unwrap_or(&result.gaussians);
     check(map, path)?;
     let settings = Settings::read(&folder.join(CONFIG))?;
@@ -101,11 +120,71 @@ fn of_run(path: &Path, stop: &AtomicBool) -> anyhow::Result<Site> {
         })
         .collect();
     let finished = FinishedRun::open(path, None).ok();
-    let bar = Console::People.progress(Site::pictures(keyframes.len()), "pictures");
-    let photograph = &mut |index| {
+    let mut photograph = |place: usize| {
+        let index = keyframes.get(place)?.index;
         let frame = finished.as_ref()?.dataset().frame(index).ok()?;
         Some(result.trajectory.synchronized(&frame).into_owned())
     };
+    let pictures = settings
+        .camera
+        .map(|file| (*file.camera(), &mut photograph as Photograph<'_>));
+    let summary = Summary {
+        title: recording_name(path).to_string_lossy().into_owned(),
+        numbers: numbers(&result),
+    };
+    with_pictures(&summary, map, &poses, &keyframes, pictures, stop)
+}
+
+/// Pages of a map's last checkpoint. Its folder has the keyframes' photographs; the camera's path is drawn
+/// from keyframe to keyframe.
+fn of_checkpoint(folder: &MapFolder, stop: &AtomicBool) -> anyhow::Result<Site> {
+    let saved = folder.session()?;
+    let (map, records) = saved.largest_map()?;
+    check(&map, folder.path())?;
+    let poses: Vec<Se3> = (records.iter())
+        .map(|record| record.world_from_camera)
+        .collect();
+    let keyframes: Vec<SiteKeyframe> = (records.iter())
+        .map(|record| SiteKeyframe {
+            index: record.index.0,
+            kind: Some(record.kind),
+            world_from_camera: record.world_from_camera,
+        })
+        .collect();
+    let camera = *saved.camera();
+    let mut photograph = |place: usize| {
+        let id = records.get(place)?.id;
+        folder.keyframe(id, &camera).ok()
+    };
+    let summary = Summary {
+        title: recording_name(folder.path()).to_string_lossy().into_owned(),
+        numbers: vec![
+            (
+                "last checkpoint before frame".into(),
+                folder.next_frame().to_string(),
+            ),
+            ("keyframes".into(), keyframes.len().to_string()),
+        ],
+    };
+    let (path, next) = (folder.path().display(), folder.next_frame());
+    Console::People.say(format!("{path}: the last checkpoint, before frame {next}"));
+    let pictures = Some((camera, &mut photograph as Photograph<'_>));
+    with_pictures(&summary, &map, &poses, &keyframes, pictures, stop)
+}
+
+/// Gives a keyframe's photograph.
+type Photograph<'a> = &'a mut dyn FnMut(usize) -> Option<RgbdFrame>;
+
+/// Pages with pictures of keyframes, if their camera is known, which take a while.
+fn with_pictures(
+    summary: &Summary,
+    map: &Gaussians,
+    poses: &[Se3],
+    keyframes: &[SiteKeyframe],
+    pictures: Option<(Camera, Photograph<'_>)>,
+    stop: &AtomicBool,
+) -> anyhow::Result<Site> {
+    let bar = Console::People.progress(Site::pictures(keyframes.len()), "pictures");
     let on_picture = &mut || {
         bar.inc(1);
         if stop.load(Ordering::Relaxed) {
@@ -114,16 +193,12 @@ fn of_run(path: &Path, stop: &AtomicBool) -> anyhow::Result<Site> {
             ControlFlow::Continue(())
         }
     };
-    let pictures = settings.camera.map(|file| KeyframePictures {
-        camera: *file.camera(),
+    let pictures = pictures.map(|(camera, photograph)| KeyframePictures {
+        camera,
         photograph,
         on_picture,
     });
-    let summary = Summary {
-        title: recording_name(path).to_string_lossy().into_owned(),
-        numbers: numbers(&result),
-    };
-    let site = Site::new(&summary, map, &poses, &keyframes, pictures);
+    let site = Site::new(summary, map, poses, keyframes, pictures);
     bar.finish_and_clear();
     Ok(site?)
 }

@@ -9,7 +9,7 @@ use std::io::{BufRead, BufReader, Read, Write};
 use std::net::TcpStream;
 use std::process::{Child, Stdio};
 
-use common::{FRAMES, fgs, folder_with_recording, run, stderr};
+use common::{FRAMES, fgs, folder_with_recording, names, run, stderr};
 use serde_json::Value;
 
 /// Starts a program that serves a page, and reads its output up to the address.
@@ -182,11 +182,17 @@ fn what_cannot_be_shown_is_refused() {
     };
     refused(&["view", "room"], 2, "room");
     refused(&["view", "nothing.ply"], 1, "nothing.ply");
+    refused(&["view", "nothing"], 1, "nothing");
     refused(&["run", "--live", "./room"], 2, "is not an address");
     refused(
         &["run", "room", "--live", "203.0.113.1:1"],
         1,
         "cannot listen at 203.0.113.1:1",
     );
-    assert!(!folder.path().join("runs/room").exists());
+    refused(
+        &["demo", "--live", "203.0.113.1:1"],
+        1,
+        "cannot listen at 203.0.113.1:1",
+    );
+    assert_eq!(names(folder.path()), ["room"]);
 }

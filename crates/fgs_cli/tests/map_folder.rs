@@ -81,6 +81,41 @@ fn assert_same_results(path: &Path, run: &str) {
 }
 
 #[test]
+fn the_last_checkpoint_of_a_killed_run_is_shown() {
+    let folder = folder_with_recording();
+    let path = folder.path();
+    let checkpoints = ["run", "room", "--out", "cut", "--checkpoint-every", "0"];
+    let arguments = [&checkpoints, &QUICK[..]].concat();
+    kill(start_and_wait(path, &arguments, 4), Duration::ZERO);
+    assert!(!path.join("cut").exists());
+    for source in ["cut", "cut.map"] {
+        run(path, &["view", source, "--export", "pages"], 0);
+        let scene = fs::read_to_string(path.join("pages/scene.json")).unwrap();
+        let scene: serde_json::Value = serde_json::from_str(&scene).unwrap();
+        assert_eq!(scene["title"], "cut.map");
+        let splats = fs::metadata(path.join("pages/map.splat")).unwrap().len() / 32;
+        assert!(splats > 1000 && scene["gaussians"] == splats, "{splats}");
+        let keyframes = scene["keyframes"].as_array().unwrap();
+        assert_eq!(keyframes[0]["index"], 0);
+        assert_eq!(scene["path"].as_array().unwrap().len(), keyframes.len());
+        for keyframe in keyframes {
+            for picture in ["input", "render"] {
+                let picture = path.join("pages").join(keyframe[picture].as_str().unwrap());
+                assert!(fs::read(picture).unwrap().starts_with(&[0xff, 0xd8]));
+            }
+        }
+    }
+    let states = names(&path.join("cut.map"));
+    let state = states.iter().find(|name| name.contains("-state-")).unwrap();
+    fs::write(path.join("cut.map").join(state), "no state").unwrap();
+    let refused = stderr(&run(path, &["view", "cut", "--export", "others"], 1));
+    assert!(
+        refused.contains("checksum") && !path.join("others").exists(),
+        "{refused}"
+    );
+}
+
+#[test]
 fn a_run_that_is_killed_again_and_again_ends_with_the_same_bytes() {
     let (_folder, path) = room_and_run(&["--eval-holdout", "5"]);
     let arguments = [

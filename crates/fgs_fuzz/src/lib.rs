@@ -12,18 +12,20 @@
 mod numbers;
 mod readers;
 mod recordings;
+mod requests;
 
 pub use numbers::{align, model_step};
 pub use readers::{
     camera_file, color_image, depth_image, lists, map, matrices, run_folder, settings, trajectory,
 };
 pub use recordings::{archive, bag, phone};
+pub use requests::request;
 
 /// A target by its name.
 pub type Target = (&'static str, fn(&[u8]));
 
 /// All of them. A target's corpus is `fuzz/corpus/NAME`.
-pub const TARGETS: [Target; 14] = [
+pub const TARGETS: [Target; 15] = [
     ("align", align),
     ("archive", archive),
     ("bag", bag),
@@ -35,6 +37,7 @@ pub const TARGETS: [Target; 14] = [
     ("matrices", matrices),
     ("model_step", model_step),
     ("phone", phone),
+    ("request", request),
     ("run_folder", run_folder),
     ("settings", settings),
     ("trajectory", trajectory),

@@ -1,7 +1,8 @@
 //! What the outside sees of a session while it runs: progress bars and viewers subscribe.
 //!
 //! Every subscriber has a bounded queue of its own. A full queue misses events and counts them, so
-//! that nobody who looks on can hold up the tracker or the mapper.
+//! that nobody who looks on can hold up the tracker or the mapper. What is costly to make or to keep
+//! (the map, images, masks) is made only when somebody asks for it, and lies only in the queue of who did.
 
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -44,11 +45,11 @@ pub enum SlamEvent {
         /// Steps asked for.
         steps: usize,
     },
-    /// The map as it was a moment ago; comes when a subscriber asked for it.
+    /// The map as it was a moment ago; comes to who asked for it.
     Snapshot(Arc<Gaussians>),
-    /// The images of the frame that was tracked last; comes when a subscriber asked for it.
+    /// The images of the frame that was tracked last; comes to who asked for it.
     Images(Arc<RgbdFrame>),
-    /// What a keyframe gives to the map; comes when a subscriber asked for it.
+    /// What a keyframe gives to the map; comes to who asked for it.
     Addition(Arc<Addition>),
 }
 
@@ -73,7 +74,7 @@ pub struct Subscription {
     wanted: Arc<Wanted>,
 }
 
-/// What is costly to hand out and is made only if somebody has asked for it since it was made last.
+/// What a subscriber has asked for and not yet been given.
 #[derive(Debug, Default)]
 struct Wanted {
     snapshot: AtomicBool,
@@ -92,7 +93,7 @@ impl Subscription {
         self.missed.load(Ordering::Relaxed)
     }
 
-    /// Asks for a [`SlamEvent::Snapshot`], which follows as soon as the mapper comes to it.
+    /// Asks for one [`SlamEvent::Snapshot`], which follows as soon as the mapper comes to it.
     pub fn request_snapshot(&self) {
         self.wanted.snapshot.store(true, Ordering::Relaxed);
     }
@@ -108,51 +109,84 @@ impl Subscription {
     }
 }
 
-/// Hands events to every subscriber. Clones share the subscribers.
+/// Hands events to subscribers. Clones share the subscribers.
 #[derive(Clone, Default)]
 pub(crate) struct EventHub {
     subscribers: Arc<Mutex<Vec<Subscriber>>>,
-    wanted: Arc<Wanted>,
 }
 
+#[derive(Clone)]
 struct Subscriber {
     events: Sender<SlamEvent>,
     missed: Arc<AtomicUsize>,
+    wanted: Arc<Wanted>,
+}
+
+impl Subscriber {
+    /// Hands an event over if the queue has room; false if nobody will ever take it.
+    fn send(&self, event: SlamEvent) -> bool {
+        match self.events.try_send(event) {
+            Ok(()) => true,
+            Err(TrySendError::Full(_)) => {
+                self.missed.fetch_add(1, Ordering::Relaxed);
+                true
+            }
+            Err(TrySendError::Disconnected(_)) => false,
+        }
+    }
 }
 
 impl EventHub {
     /// A new subscriber whose queue holds `capacity` events.
     pub fn subscribe(&self, capacity: usize) -> Subscription {
         let (sender, events) = bounded(capacity);
-        let missed = Arc::new(AtomicUsize::new(0));
+        let (missed, wanted) = (Arc::default(), Arc::default());
         self.lock().push(Subscriber {
             events: sender,
             missed: Arc::clone(&missed),
+            wanted: Arc::clone(&wanted),
         });
         Subscription {
             events,
             missed,
-            wanted: Arc::clone(&self.wanted),
+            wanted,
         }
     }
 
-    /// Whether a snapshot was asked for since the last call.
-    pub fn take_snapshot_request(&self) -> bool {
-        self.wanted.snapshot.swap(false, Ordering::Relaxed)
+    /// Hands a map to who has asked for one, if anybody has.
+    pub fn publish_snapshot<E>(
+        &self,
+        snapshot: impl FnOnce() -> Result<Gaussians, E>,
+    ) -> Result<(), E> {
+        let asking = self.take_requests(|wanted| &wanted.snapshot);
+        if !asking.is_empty() {
+            send_to(&asking, &SlamEvent::Snapshot(Arc::new(snapshot()?)));
+        }
+        Ok(())
     }
 
-    /// Hands out a frame's images if somebody has asked for them.
+    /// Hands a frame's images to who has asked for some.
     pub fn publish_images(&self, frame: &Arc<RgbdFrame>) {
-        if self.wanted.images.swap(false, Ordering::Relaxed) {
-            self.publish(|| SlamEvent::Images(Arc::clone(frame)));
+        let asking = self.take_requests(|wanted| &wanted.images);
+        send_to(&asking, &SlamEvent::Images(Arc::clone(frame)));
+    }
+
+    /// Hands what a keyframe gives to the map to who has asked for it, if anybody has.
+    pub fn publish_addition(&self, addition: impl FnOnce() -> Addition) {
+        let asking = self.take_requests(|wanted| &wanted.addition);
+        if !asking.is_empty() {
+            send_to(&asking, &SlamEvent::Addition(Arc::new(addition())));
         }
     }
 
-    /// Hands out what a keyframe gives to the map if somebody has asked for it.
-    pub fn publish_addition(&self, addition: impl FnOnce() -> Addition) {
-        if self.wanted.addition.swap(false, Ordering::Relaxed) {
-            self.publish(|| SlamEvent::Addition(Arc::new(addition())));
-        }
+    /// Who has asked for something since the last call. The list is not locked while it is made: others
+    /// have events to publish meanwhile.
+    fn take_requests(&self, request: impl Fn(&Wanted) -> &AtomicBool) -> Vec<Subscriber> {
+        let subscribers = self.lock();
+        let asking = subscribers
+            .iter()
+            .filter(|subscriber| request(&subscriber.wanted).swap(false, Ordering::Relaxed));
+        asking.cloned().collect()
     }
 
     /// Hands an event to everyone whose queue has room. Makes none where nobody looks on.
@@ -162,16 +196,7 @@ impl EventHub {
             return;
         }
         let event = event();
-        subscribers.retain(
-            |subscriber| match subscriber.events.try_send(event.clone()) {
-                Ok(()) => true,
-                Err(TrySendError::Full(_)) => {
-                    subscriber.missed.fetch_add(1, Ordering::Relaxed);
-                    true
-                }
-                Err(TrySendError::Disconnected(_)) => false,
-            },
-        );
+        subscribers.retain(|subscriber| subscriber.send(event.clone()));
     }
 
     /// Ends all subscriptions: their queues are disconnected once emptied.
@@ -184,6 +209,13 @@ impl EventHub {
         self.subscribers
             .lock()
             .unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+/// Whoever has gone away is forgotten with the next event for all.
+fn send_to(asking: &[Subscriber], event: &SlamEvent) {
+    for subscriber in asking {
+        subscriber.send(event.clone());
     }
 }
 
@@ -224,10 +256,7 @@ mod tests {
         hub.publish(|| unreachable!("nobody looks on"));
     }
 
-    #[test]
-    fn an_addition_is_handed_out_once_for_each_time_it_is_asked_for() {
-        let hub = EventHub::default();
-        let subscription = hub.subscribe(5);
+    fn frame() -> Arc<RgbdFrame> {
         let intrinsics = Intrinsics {
             fx: 2.0,
             fy: 2.0,
@@ -236,30 +265,67 @@ mod tests {
         };
         let camera = Camera::new(2, 1, intrinsics).unwrap();
         let (color, depth_m) = (Image::filled(2, 1, [0; 3]), Image::filled(2, 1, 1.0));
-        let frame = RgbdFrame::new(FrameIndex(7), 0.0, color, depth_m, camera);
-        let frame = Arc::new(frame.unwrap());
-        let addition = || Addition {
-            frame: Arc::clone(&frame),
+        RgbdFrame::new(FrameIndex(7), 0.0, color, depth_m, camera)
+            .unwrap()
+            .into()
+    }
+
+    fn publish_all(hub: &EventHub) {
+        hub.publish_images(&frame());
+        hub.publish_addition(|| Addition {
+            frame: frame(),
             detail: Image::filled(2, 1, true),
             missing: Image::filled(2, 1, false),
             seeds: 3,
-        };
-        hub.publish_addition(|| unreachable!("nobody has asked"));
+        });
+        let snapshot = || Ok::<_, ()>(Gaussians::default());
+        hub.publish_snapshot(snapshot).unwrap();
+    }
+
+    #[test]
+    fn what_is_costly_comes_once_for_each_time_it_is_asked_for() {
+        let hub = EventHub::default();
+        let subscription = hub.subscribe(9);
+        subscription.request_images();
         subscription.request_addition();
-        hub.publish_addition(addition);
-        hub.publish_addition(addition);
+        subscription.request_snapshot();
+        publish_all(&hub);
+        publish_all(&hub);
         let events: Vec<SlamEvent> = subscription.events().try_iter().collect();
         assert!(
-            matches!(&events[..], [SlamEvent::Addition(a)] if a.frame.index.0 == 7 && a.seeds == 3)
+            matches!(
+                &events[..],
+                [SlamEvent::Images(frame), SlamEvent::Addition(addition), SlamEvent::Snapshot(_)]
+                    if frame.index.0 == 7 && addition.seeds == 3
+            ),
+            "{events:?}"
         );
     }
 
     #[test]
-    fn a_snapshot_is_asked_for_once() {
+    fn what_is_costly_comes_only_to_who_asks_for_it() {
         let hub = EventHub::default();
-        let subscription = hub.subscribe(1);
-        assert!(!hub.take_snapshot_request());
-        subscription.request_snapshot();
-        assert!(hub.take_snapshot_request() && !hub.take_snapshot_request());
+        let (log, pictures, map) = (hub.subscribe(9), hub.subscribe(9), hub.subscribe(9));
+        pictures.request_images();
+        map.request_snapshot();
+        publish_all(&hub);
+        assert!(log.events().is_empty());
+        let events = |subscription: &Subscription| -> Vec<SlamEvent> {
+            subscription.events().try_iter().collect()
+        };
+        assert!(matches!(events(&pictures)[..], [SlamEvent::Images(_)]));
+        assert!(matches!(events(&map)[..], [SlamEvent::Snapshot(_)]));
+        assert_eq!(log.missed() + pictures.missed() + map.missed(), 0);
+    }
+
+    #[test]
+    fn what_nobody_asks_for_is_not_made() {
+        let hub = EventHub::default();
+        let looker_on = hub.subscribe(1);
+        hub.publish_addition(|| unreachable!("nobody has asked"));
+        let snapshot = || -> Result<Gaussians, ()> { unreachable!("nobody has asked") };
+        hub.publish_snapshot(snapshot).unwrap();
+        looker_on.request_snapshot();
+        assert_eq!(hub.publish_snapshot(|| Err("no device")), Err("no device"));
     }
 }

@@ -5,6 +5,7 @@ use std::time::Duration;
 
 use fgs_geom::{Camera, FrameIndex, KeyframeId, Se3};
 use fgs_graph::{Edge, KeyframeGraph};
+use fgs_splat::Gaussians;
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
@@ -13,7 +14,8 @@ use crate::holdout::Holdout;
 use crate::keyframes::KeyframeKind;
 use crate::loops::LoopCloser;
 use crate::merge::Renumbering;
-use crate::session::SlamError;
+use crate::separation::Separation;
+use crate::session::{KeyframeRecord, SlamError};
 use crate::submaps::Submaps;
 use crate::system::{MapReport, SavedMapping};
 use crate::tracker::SavedTracker;
@@ -86,6 +88,32 @@ impl SavedSession {
     pub fn next_frame(&self) -> FrameIndex {
         let next = |last: &FrameResult| FrameIndex(last.index.0 + 1);
         self.last_frame().map_or(self.first, next)
+    }
+
+    /// The largest sub-map as it is now, and its keyframes, in its axes: sub-map 0 of
+    /// [`SlamOutput`](crate::SlamOutput).
+    ///
+    /// # Errors
+    /// [`SlamError::Inconsistent`] if what was saved contradicts itself.
+    pub fn largest_map(&self) -> Result<(Gaussians, Vec<KeyframeRecord>), SlamError> {
+        let all = self.mapping.gaussians();
+        if !self.is_consistent() || !all.has_len(all.len()) {
+            return Err(SlamError::Inconsistent);
+        }
+        let separation = Separation::new(&self.submaps, &self.graph);
+        let maps = separation.maps(all.clone(), &self.graph);
+        let graph = separation.graph(self.graph.clone());
+        let keyframes = self.keyframes.iter().filter_map(|(id, kind, index)| {
+            Some(KeyframeRecord {
+                id: *id,
+                index: *index,
+                kind: *kind,
+                submap: separation.number_of(*id).filter(|number| *number == 0)?,
+                world_from_camera: *graph.pose(*id)?,
+            })
+        });
+        let keyframes = keyframes.collect();
+        Ok((maps.into_iter().next().unwrap_or_default(), keyframes))
     }
 
     /// The start of another session in the same place: the map stays, frames and motion are forgotten,

@@ -333,7 +333,8 @@ impl Slam {
     }
 
     /// A queue of up to `capacity` events. When it is full, events are missed and counted; the
-    /// session never waits.
+    /// session never waits. The map, images and masks come only where [`Subscription`]'s requests ask
+    /// for them, one for each request.
     pub fn subscribe(&self, capacity: usize) -> Subscription {
         self.events.subscribe(capacity)
     }

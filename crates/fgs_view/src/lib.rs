@@ -22,5 +22,6 @@ mod splat_chunks;
 
 pub use access::Address;
 pub use live_view::LiveView;
-pub use server::Server;
+pub use request::Request;
+pub use server::{Listener, Server};
 pub use site::{KeyframePictures, Site, SiteKeyframe, Summary};

@@ -22,13 +22,12 @@ use nalgebra::Vector3;
 use rayon::ThreadPool;
 use serde::Serialize;
 
-use crate::access::Address;
 use crate::live_state::{
     AdditionNote, FrameNote, KeyframeNote, LiveState, Phase, Picture, PoseNote, RenderNote,
 };
 use crate::page::{made, page};
 use crate::pictures;
-use crate::server::Server;
+use crate::server::{Listener, Server};
 use crate::site::half_extent;
 
 /// Room for a second or two; then events are missed.
@@ -56,6 +55,8 @@ pub struct LiveView {
 #[derive(Serialize)]
 struct Start<'a> {
     live: bool,
+    /// A random number: a page that loses its server and finds another's run is loaded anew.
+    run: u32,
     title: &'a str,
     half_extent: [f64; 2],
 }
@@ -64,9 +65,9 @@ impl LiveView {
     /// Serves a page of a run called `title` over `frames` frames of a camera. Its button to stop sets `stop`.
     ///
     /// # Errors
-    /// If the address cannot be listened at.
+    /// If no thread starts.
     pub fn start(
-        address: &Address,
+        listener: Listener,
         title: &str,
         camera: &Camera,
         frames: usize,
@@ -75,12 +76,13 @@ impl LiveView {
         let state = Arc::new(LiveState::new(stop));
         let start = serde_json::to_vec(&Start {
             live: true,
+            run: rand::random(),
             title,
             half_extent: half_extent(camera),
         })?;
         let mut files = page();
         files.insert("scene.json".into(), made("application/json", start));
-        let server = Server::start(address, files, Some(Arc::clone(&state)))?;
+        let server = Server::start(listener, files, Some(Arc::clone(&state)))?;
         Ok(Self {
             state,
             server,

@@ -9,12 +9,15 @@ const MAX_HEADERS: usize = 64;
 /// What of a request matters here.
 #[derive(Debug, Default, PartialEq, Eq)]
 pub struct Request {
+    /// As sent: `GET`.
     pub method: String,
     /// Without the query.
     pub path: String,
+    /// The server's name, as the browser knows it; empty if it does not say.
     pub host: String,
     /// The page that sends it, if it says so.
     pub origin: Option<String>,
+    /// Whether an answer may be packed.
     pub accepts_gzip: bool,
 }
 

@@ -19,6 +19,27 @@ const PATIENCE: Duration = Duration::from_secs(10);
 /// A browser opens six at a time.
 const MAX_CONNECTIONS: usize = 48;
 
+/// An address that is listened at, before there is anything to serve: whether it can be shows before any
+/// work. Who connects meanwhile waits.
+#[derive(Debug)]
+pub struct Listener {
+    address: Address,
+    socket: TcpListener,
+}
+
+impl Listener {
+    /// Listens at an address.
+    ///
+    /// # Errors
+    /// If it cannot be listened at.
+    pub fn bind(address: &Address) -> io::Result<Self> {
+        Ok(Self {
+            address: address.clone(),
+            socket: TcpListener::bind(&*address.candidates()?)?,
+        })
+    }
+}
+
 /// A server at work; dropping it ends it.
 pub struct Server {
     bound: SocketAddr,
@@ -39,15 +60,15 @@ impl Server {
     /// Serves files, and a run if there is one.
     ///
     /// # Errors
-    /// If the address cannot be listened at.
+    /// If no thread starts.
     pub(crate) fn start(
-        address: &Address,
+        listener: Listener,
         files: Files,
         live: Option<Arc<LiveState>>,
     ) -> io::Result<Self> {
-        let listener = TcpListener::bind(&*address.candidates()?)?;
-        let bound = listener.local_addr()?;
-        let access = Access::new(address, &bound);
+        let Listener { address, socket } = listener;
+        let bound = socket.local_addr()?;
+        let access = Access::new(&address, &bound);
         let url = format!("http://{bound}{}", access.root());
         let state = Arc::new(State {
             access,
@@ -59,7 +80,7 @@ impl Server {
         let accepting = Arc::clone(&state);
         let thread = thread::Builder::new()
             .name("server".into())
-            .spawn(move || accept(&listener, &accepting))?;
+            .spawn(move || accept(&socket, &accepting))?;
         Ok(Self {
             bound,
             url,
@@ -198,7 +219,8 @@ mod tests {
     }
 
     fn start(address: &str, live: Option<Arc<LiveState>>) -> Server {
-        Server::start(&address.parse().unwrap(), page(), live).unwrap()
+        let listener = Listener::bind(&address.parse().unwrap()).unwrap();
+        Server::start(listener, page(), live).unwrap()
     }
 
     fn send(server: &Server, head: &str) -> TcpStream {

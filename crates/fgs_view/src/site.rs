@@ -16,7 +16,7 @@ use crate::live_state::PoseNote;
 use crate::page::{Files, made, page};
 use crate::pictures;
 use crate::response::unzipped;
-use crate::server::Server;
+use crate::server::{Listener, Server};
 
 /// More would be a long wait and a long list.
 const MAX_PICTURES: usize = 48;
@@ -51,7 +51,7 @@ pub struct SiteKeyframe {
 pub struct KeyframePictures<'a> {
     /// The camera.
     pub camera: Camera,
-    /// The frame of an index as it was taken, if it can be read.
+    /// The frame, as it was taken, of the keyframe at a place in the list, if it can be read.
     pub photograph: &'a mut dyn FnMut(usize) -> Option<RgbdFrame>,
     /// Called after each picture; may stop the work.
     pub on_picture: &'a mut dyn FnMut() -> ControlFlow<()>,
@@ -119,7 +119,7 @@ impl Site {
             if let Some(pictures) = &mut pictures
                 && i % stride == 0
             {
-                add_pictures(&mut files, &mut scene, map, keyframe, pictures);
+                add_pictures(&mut files, &mut scene, map, (i, keyframe), pictures);
                 if (pictures.on_picture)().is_break() {
                     return Err(io::ErrorKind::Interrupted.into());
                 }
@@ -159,7 +159,7 @@ impl Site {
     /// # Errors
     /// If the address cannot be listened at.
     pub fn serve(self, address: &Address) -> io::Result<Server> {
-        Server::start(address, self.files, None)
+        Server::start(Listener::bind(address)?, self.files, None)
     }
 
     /// Writes the pages.
@@ -188,7 +188,7 @@ fn add_pictures(
     files: &mut Files,
     scene: &mut SceneKeyframe,
     map: &Gaussians,
-    keyframe: &SiteKeyframe,
+    (place, keyframe): (usize, &SiteKeyframe),
     pictures: &mut KeyframePictures<'_>,
 ) {
     let size = pictures::small(&pictures.camera);
@@ -201,12 +201,9 @@ fn add_pictures(
         Some(name)
     };
     let render = pictures::rendered_color(&pictures::render(map, &view));
-    scene.render = add(format!("pictures/{:06}-render.jpg", keyframe.index), render);
-    if let Some(frame) = (pictures.photograph)(keyframe.index) {
+    scene.render = add(format!("pictures/{place:06}-render.jpg"), render);
+    if let Some(frame) = (pictures.photograph)(place) {
         let photograph = pictures::color(&frame.color, &size);
-        scene.input = add(
-            format!("pictures/{:06}-input.jpg", keyframe.index),
-            photograph,
-        );
+        scene.input = add(format!("pictures/{place:06}-input.jpg"), photograph);
     }
 }

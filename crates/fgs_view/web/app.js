@@ -3,6 +3,8 @@
 import { Space } from "./space.js";
 import { plot, strip } from "./plots.js";
 
+// The server says something at least every two seconds.
+const SILENCE_MS = 10000, RETRY_MS = 1000;
 const NEWS = 1, SPLATS = 2, PICTURE = 3, END = 5;
 const byId = (id) => document.getElementById(id);
 const number = (value, digits = 0) =>
@@ -22,7 +24,8 @@ function trouble(text) {
   byId("trouble").hidden = !text;
 }
 
-const scene = await (await fetch("scene.json")).json();
+const sleep = (ms) => new Promise((resolve) => setTimeout(resolve, ms));
+const sceneText = await (await fetch("scene.json")).text(), scene = JSON.parse(sceneText);
 document.title = `${scene.title} – fgs-slam`;
 byId("title").textContent = scene.title;
 if (scene.half_extent) document.body.style.setProperty("--aspect", scene.half_extent[0] / scene.half_extent[1]);
@@ -47,7 +50,8 @@ if (scene.live) showRun(); else showMap();
 function showRun() {
   for (const id of ["live", "plots", "stop"]) byId(id).hidden = false;
   space.follow(true);
-  const run = { frames: [], keyframes: new Map(), loops: [], renders: [], phase: {} };
+  const nothing = () => ({ frames: [], keyframes: new Map(), loops: [], renders: [], phase: {} });
+  const run = nothing();
   byId("stop").onclick = async () => {
     byId("stop").disabled = true;
     byId("stop").textContent = "Stopping";
@@ -69,25 +73,55 @@ function showRun() {
     },
     [END]: () => { run.isOver = true; },
   };
-  read(messages).catch(() => {}).finally(() => {
-    byId("stop").hidden = true;
-    if (!run.isOver) {
-      byId("phase").textContent = "connection lost";
-      byId("phase").classList.add("broken");
-    }
-    draw(run);
-  });
+  // Whoever connects is told everything from the beginning.
+  follow(() => { Object.assign(run, nothing()); setBroken(false); }, messages, () => run.isOver, () => setBroken(true))
+    .then(() => { byId("stop").hidden = true; draw(run); });
 }
 
-/** Takes the stream's messages as they come: a length, what it is, the content. */
-async function read(messages) {
-  const response = await fetch("stream");
+function setBroken(isBroken) {
+  byId("phase").classList.toggle("broken", isBroken);
+  if (isBroken) byId("phase").textContent = "connection lost, trying again";
+  byId("stop").hidden = isBroken;
+}
+
+/** Reads the stream until the run is over; looks for the server again whenever the connection breaks. */
+async function follow(begin, messages, isOver, onBreak) {
+  for (;;) {
+    await read(begin, messages).catch(() => {});
+    if (isOver()) return;
+    onBreak();
+    do await sleep(RETRY_MS); while (!(await isBack()));
+  }
+}
+
+/** Whether the server answers. If it shows another run by now, or a finished map, the page is loaded anew. */
+async function isBack() {
+  try {
+    const response = await fetch("scene.json", { signal: AbortSignal.timeout(SILENCE_MS) });
+    if (!response.ok) return false;
+    if ((await response.text()) !== sceneText) location.reload();
+    return true;
+  } catch {
+    return false;
+  }
+}
+
+/** Takes the stream's messages as they come: a length, what it is, the content. A connection over which nothing
+    comes is dead, which a machine that has slept is not told. */
+async function read(begin, messages) {
+  const silence = new AbortController();
+  let watch;
+  const listen = () => { clearTimeout(watch); watch = setTimeout(() => silence.abort(), SILENCE_MS); };
+  listen();
+  const response = await fetch("stream", { signal: silence.signal });
   if (!response.ok) throw new Error(response.statusText);
   const reader = response.body.getReader();
-  let rest = new Uint8Array(0);
+  let rest = null;
   for (;;) {
     const { done, value } = await reader.read();
-    if (done) return;
+    if (done) return clearTimeout(watch);
+    listen();
+    if (!rest) { begin(); rest = new Uint8Array(0); }
     const bytes = new Uint8Array(rest.length + value.length);
     bytes.set(rest);
     bytes.set(value, rest.length);

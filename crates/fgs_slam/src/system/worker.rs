@@ -145,6 +145,11 @@ impl SavedMapping {
         }
     }
 
+    /// The map.
+    pub fn gaussians(&self) -> &Gaussians {
+        &self.model.gaussians
+    }
+
     /// The keyframes whose images the map is optimised with.
     pub fn views(&self) -> impl Iterator<Item = KeyframeId> {
         self.model.views.iter().map(|view| view.id)
@@ -473,11 +478,8 @@ impl MapperWorker {
             .num_gaussians
             .store(gaussians, Ordering::Relaxed);
         self.status.steps.store(steps, Ordering::Relaxed);
-        if self.events.take_snapshot_request() {
-            let gaussians = Arc::new(self.mapper.gaussians()?);
-            self.events.publish(|| SlamEvent::Snapshot(gaussians));
-        }
-        Ok(())
+        let mapper = &mut self.mapper;
+        self.events.publish_snapshot(|| mapper.gaussians())
     }
 }
 
