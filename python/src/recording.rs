@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 use std::sync::{Mutex, PoisonError};
 
-use fgs_data::{CameraFile, DataError, Dataset, FrameStream, OpenOptions};
+use fgs_data::{CameraFile, DataError, Dataset, FrameStream, OpenOptions, PoseOrigin};
 use fgs_geom::RgbdFrame;
 use numpy::{PyArray2, PyArray3};
 use pyo3::exceptions::PyIndexError;
@@ -14,14 +14,15 @@ use crate::camera::Camera;
 use crate::errors::IntoPython;
 use crate::trajectory::Trajectory;
 
-/// A recording on disk: TUM RGB-D, Replica, 7-Scenes, or folders ``rgb/`` and ``depth/`` with a ``camera.toml``.
+/// A recording on disk, of any kind that ``fgs run`` reads: TUM RGB-D, Replica, 7-Scenes, folders ``rgb/`` and
+/// ``depth/`` with a ``camera.toml``, and those of phones and robots (docs/recordings.md).
 ///
 /// ``for color, depth_m, timestamp in Recording("my_room"): ...`` gives what :meth:`Slam.push` takes, free of lens
 /// distortion. (:func:`run` knows more of a recording: where the lens left no colour, and when the sensors take their
 /// images.)
 ///
 /// Args:
-///     path: its folder.
+///     path: its folder or file.
 ///     camera: a camera file that overrides the recording's own.
 ///
 /// Raises:
@@ -31,6 +32,16 @@ pub struct Recording(Dataset);
 
 /// Colour, depth and time.
 type Frame<'py> = (Bound<'py, PyArray3<u8>>, Bound<'py, PyArray2<f32>>, f64);
+
+impl Recording {
+    fn poses_from(&self, origin: PoseOrigin) -> Option<Trajectory> {
+        let poses = self
+            .0
+            .ground_truth()
+            .filter(|_| self.0.pose_origin() == origin);
+        poses.cloned().map(Trajectory)
+    }
+}
 
 #[pymethods]
 impl Recording {
@@ -42,7 +53,7 @@ impl Recording {
             camera: camera.map_err(IntoPython::into_python)?,
             ..OpenOptions::default()
         };
-        let dataset = Dataset::open(&path, &options);
+        let dataset = fgs_recordings::open(&path, &options);
         dataset.map(Self).map_err(IntoPython::into_python)
     }
 
@@ -52,10 +63,16 @@ impl Recording {
         Camera(*self.0.camera())
     }
 
-    /// Where the camera was, if the recording says it.
+    /// Where the camera was, if the recording knows it.
     #[getter]
     fn ground_truth(&self) -> Option<Trajectory> {
-        self.0.ground_truth().cloned().map(Trajectory)
+        self.poses_from(PoseOrigin::GroundTruth)
+    }
+
+    /// Where the recording device believed to be, such as ARKit's poses: an estimate, not the truth.
+    #[getter]
+    fn device_poses(&self) -> Option<Trajectory> {
+        self.poses_from(PoseOrigin::Device)
     }
 
     /// A frame: colour uint8 (H, W, 3), depth in metres float32 (H, W), time in seconds.

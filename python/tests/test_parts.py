@@ -1,5 +1,6 @@
 """Parts that can be used on their own."""
 
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -154,3 +155,14 @@ def test_every_exception_is_of_the_package() -> None:
     for name in names:
         assert issubclass(getattr(fgs_slam, name), fgs_slam.FgsError)
         assert getattr(fgs_slam.errors, name) is getattr(fgs_slam, name)
+
+
+def test_poses_of_a_device_are_not_the_truth(room: Path, tmp_path: Path) -> None:
+    assert fgs_slam.Recording(room).device_poses is None
+    copy = tmp_path / "room"
+    shutil.copytree(room, copy)
+    (copy / "groundtruth.txt").rename(copy / "device_poses.txt")
+    recording = fgs_slam.Recording(copy)
+    assert recording.ground_truth is None
+    assert recording.device_poses is not None
+    assert len(recording.device_poses) == len(recording)

@@ -94,7 +94,10 @@ fn report(looker_on: &Subscription, world_from_camera: impl Fn(usize) -> Se3, du
                         .tracking_ms
                         .push(1e3 * tracking.duration.as_secs_f64());
                 }
-                if let Some(pose) = result.world_from_camera {
+                // Other sub-maps have axes of their own.
+                if let Some(pose) = result.world_from_camera
+                    && result.submap == Some(0)
+                {
                     let truth = world_from_camera(0).inverse() * world_from_camera(result.index.0);
                     minute.error_m = (pose.translation - truth.translation).norm();
                 }
