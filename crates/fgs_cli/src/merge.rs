@@ -19,7 +19,7 @@ Examples:
   fgs run recordings/ground-floor --checkpoint-every 60
   fgs run recordings/stairs --checkpoint-every 60
   fgs merge runs/ground-floor runs/stairs --out runs/house
-  fgs view runs/house/map.ply
+  fgs view runs/house.map                        with the keyframes of both; runs/house/map.ply: the map alone
   fgs run recordings/attic --map runs/house      goes on in the merged map
 
 Both recordings must be of one camera, and show some place alike. Axes and settings are the first map's.
