@@ -156,18 +156,18 @@ fn of_checkpoint(folder: &MapFolder, stop: &AtomicBool) -> anyhow::Result<Site> 
         let id = records.get(place)?.id;
         folder.keyframe(id, &camera).ok()
     };
+    let mut numbers = vec![("keyframes".into(), keyframes.len().to_string())];
+    let next = folder.next_frame();
+    // A merged map has seen no frame of its own.
+    if next > 0 {
+        let path = folder.path().display();
+        Console::People.say(format!("{path}: the last checkpoint, before frame {next}"));
+        numbers.push(("last checkpoint before frame".into(), next.to_string()));
+    }
     let summary = Summary {
         title: recording_name(folder.path()).to_string_lossy().into_owned(),
-        numbers: vec![
-            (
-                "last checkpoint before frame".into(),
-                folder.next_frame().to_string(),
-            ),
-            ("keyframes".into(), keyframes.len().to_string()),
-        ],
+        numbers,
     };
-    let (path, next) = (folder.path().display(), folder.next_frame());
-    Console::People.say(format!("{path}: the last checkpoint, before frame {next}"));
     let pictures = Some((camera, &mut photograph as Photograph<'_>));
     with_pictures(&summary, &map, &poses, &keyframes, pictures, stop)
 }
