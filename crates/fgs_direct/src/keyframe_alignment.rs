@@ -7,7 +7,7 @@
 //! geometry, enters as a Gaussian: `e^T information e`, `e = log(prior^-1 pose)`.
 
 use fgs_geom::Se3;
-use nalgebra::{Matrix2, Matrix2x6, Matrix6, Vector2, Vector6};
+use nalgebra::{Matrix2, Matrix2x6, Matrix6, Rotation3, Vector2, Vector3, Vector6};
 
 use crate::residual::{brightness, by_pose, noise_of};
 use crate::{IntensityImage, IntensityPyramid, Reference, ReferencePoint};
@@ -84,7 +84,7 @@ pub fn align_with_keyframes(
 ) -> Option<PhotometricAlignment> {
     let mut exposures = vec![Exposure::default(); references.len()];
     let mut pose = prior.world_from_camera;
-    let mut result = None;
+    let mut settled = None;
     for (level, image) in image.levels.iter().enumerate().rev() {
         let pairs: Vec<Pair> = references
             .iter()
@@ -122,23 +122,19 @@ pub fn align_with_keyframes(
             }
         }
         if let Some(noise) = residuals_noise {
-            let rows: Vec<Vec<Row>> = pairs.iter().map(|pair| pair.rows(image, &pose)).collect();
-            result = Some(PhotometricAlignment {
-                world_from_camera: pose,
-                information: information(&rows, &exposures, noise),
-                noise,
-                points: rows.iter().map(Vec::len).sum(),
-                contradicts_prior: false,
-            });
+            settled = Some((image, pairs, noise));
         }
     }
-    result.map(|aligned: PhotometricAlignment| {
-        let off = (prior.world_from_camera.inverse() * aligned.world_from_camera).log();
-        let contradiction = (off.transpose() * prior.information * off)[0];
-        PhotometricAlignment {
-            contradicts_prior: contradiction > MAX_CONTRADICTION,
-            ..aligned
-        }
+    let (image, pairs, noise) = settled?;
+    let seen: Vec<Vec<Seen>> = pairs.iter().map(|pair| pair.seen(image, &pose)).collect();
+    let off = (prior.world_from_camera.inverse() * pose).log();
+    let contradiction = (off.transpose() * prior.information * off)[0];
+    Some(PhotometricAlignment {
+        world_from_camera: pose,
+        information: information(&seen, &exposures, noise),
+        noise,
+        points: seen.iter().map(Vec::len).sum(),
+        contradicts_prior: contradiction > MAX_CONTRADICTION,
     })
 }
 
@@ -182,33 +178,59 @@ impl Exposure {
     }
 }
 
-/// A point's brightness in the reference and in the image, and their derivatives by the pose.
+/// A point's brightness in the reference and in the image, and the latter's derivative by the pose.
 struct Row {
     there: f64,
     here: f64,
-    by_there: Vector6<f64>,
     by_here: Vector6<f64>,
+}
+
+/// The same, and the derivative that the reference's brightness would have there.
+struct Seen {
+    row: Row,
+    by_there: Vector6<f64>,
 }
 
 impl Pair<'_> {
     /// Of the points that the image shows.
     fn rows(&self, image: &IntensityImage, pose: &Se3) -> Vec<Row> {
-        let camera_from_reference = pose.inverse() * self.world_from_reference;
-        let rotation = camera_from_reference.rotation.to_rotation_matrix();
-        let row = |point: &ReferencePoint| {
-            let position = rotation * point.position + camera_from_reference.translation;
-            let (here, by_here) = brightness(image, &position)?;
+        self.map_shown(image, pose, |_, _, _, row| row)
+    }
+
+    /// The same, with what the reference shows there.
+    fn seen(&self, image: &IntensityImage, pose: &Se3) -> Vec<Seen> {
+        self.map_shown(image, pose, |point, position, rotation, row| {
             // Along the ray nothing changes.
             let gradient = rotation * point.gradient.cast::<f64>();
-            let along = gradient.dot(&position) / position.norm_squared();
-            Some(Row {
+            let along = gradient.dot(position) / position.norm_squared();
+            Seen {
+                row,
+                by_there: by_pose(&(gradient - along * position), position),
+            }
+        })
+    }
+
+    /// What a function makes of each point that the image shows, of its position in the camera frame and the
+    /// rotation `camera_from_reference`.
+    fn map_shown<T>(
+        &self,
+        image: &IntensityImage,
+        pose: &Se3,
+        make: impl Fn(&ReferencePoint, &Vector3<f64>, &Rotation3<f64>, Row) -> T,
+    ) -> Vec<T> {
+        let camera_from_reference = pose.inverse() * self.world_from_reference;
+        let rotation = camera_from_reference.rotation.to_rotation_matrix();
+        let shown = |point: &ReferencePoint| {
+            let position = rotation * point.position + camera_from_reference.translation;
+            let (here, by_here) = brightness(image, &position)?;
+            let row = Row {
                 there: point.intensity.into(),
                 here,
-                by_there: by_pose(&(gradient - along * position), &position),
                 by_here,
-            })
+            };
+            Some(make(point, &position, &rotation, row))
         };
-        self.points.iter().filter_map(row).collect()
+        self.points.iter().filter_map(shown).collect()
     }
 }
 
@@ -230,13 +252,13 @@ fn weight(residual: f64, noise: f64) -> f64 {
 /// What points say of the pose, `[omega, v]`, gains and offsets eliminated. Products of a gradient with itself
 /// would count noise as knowledge: before a bare wall that is all there is. The noise of two images is
 /// independent, so that it vanishes from the products of their gradients.
-fn information(rows: &[Vec<Row>], exposures: &[Exposure], noise: f64) -> Matrix6<f64> {
+fn information(seen: &[Vec<Seen>], exposures: &[Exposure], noise: f64) -> Matrix6<f64> {
     let mut information = Matrix6::zeros();
-    for (rows, exposure) in rows.iter().zip(exposures) {
+    for (seen, exposure) in seen.iter().zip(exposures) {
         let (mut by_exposure, mut mixed) = (exposure_prior(), Matrix2x6::zeros());
-        for row in rows {
+        for Seen { row, by_there } in seen {
             let weight = weight(exposure.residual(row), noise);
-            let by_there = exposure.gain * row.by_there;
+            let by_there = exposure.gain * by_there;
             information += weight * row.by_here * by_there.transpose();
             let affine = Vector2::new(-row.there, -1.0);
             by_exposure += weight * affine * affine.transpose();
