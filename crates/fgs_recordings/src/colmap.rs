@@ -6,14 +6,15 @@
 
 use std::collections::HashMap;
 
-use fgs_data::{CameraFile, DataError, Format, SourcedRecording, natural_order};
+use fgs_data::{DataError, Format, SourcedRecording, natural_order};
 use fgs_geom::{Intrinsics, Se3};
 
+use crate::camera_file::camera_file;
 use crate::fault::fault;
 use crate::intrinsics::{median, resized};
-use crate::phone_poses::trajectory;
+use crate::phone_poses::{assumed_times, trajectory};
 use crate::tree::Tree;
-use crate::tree_frames::{ColorFile, DepthCoding, TreeFrame, TreeFrames, size_of, working_image};
+use crate::tree_frames::{ColorFile, DepthCoding, TreeFrame, TreeFrames, size_of};
 
 const FOLDERS: [&str; 3] = ["sparse/0/", "sparse/", ""];
 const DEPTHS: [&str; 2] = ["depth", "depths"];
@@ -22,7 +23,6 @@ const IMAGES: &str = "images";
 /// Millions of points that images saw are in the same file.
 const MAX_BYTES: u64 = 1 << 30;
 
-const FRAME_RATE_HZ: f64 = 30.0;
 const UNITS_PER_M: f64 = 1000.0;
 
 /// Names of camera models by their numbers, with how many parameters they have.
@@ -101,7 +101,7 @@ pub(crate) fn open(tree: Tree) -> Result<SourcedRecording, DataError> {
         poses.push(photograph.pose);
     }
     let own: Vec<Intrinsics> = frames.iter().filter_map(|frame| frame.intrinsics).collect();
-    let (Some(first), Some(size), Some(common)) = (frames.first(), color_size, median(&own)) else {
+    let (Some(size), Some(common)) = (color_size, median(&own)) else {
         return Err(DataError::Empty {
             path,
             what: "image with a depth image",
@@ -110,27 +110,15 @@ pub(crate) fn open(tree: Tree) -> Result<SourcedRecording, DataError> {
     let depth_coding = DepthCoding::Png {
         units_per_m: UNITS_PER_M as f32,
     };
-    let working = working_image(&tree, &first.depth, size, depth_coding, &path, common)?;
+    let frames = TreeFrames::new(tree, frames, depth_coding, size, common, &path)?;
     let distortion = distortion.filter(|values| *values != [0.0; 5]);
-    let camera = CameraFile::new(*working.camera(), distortion, UNITS_PER_M);
-    let timestamps: Vec<f64> = (0..frames.len())
-        .map(|index| index as f64 / FRAME_RATE_HZ)
-        .collect();
+    let timestamps = assumed_times(poses.len());
     Ok(SourcedRecording {
         format: Format::Colmap,
-        camera: camera.map_err(|source| DataError::Camera {
-            path: path.clone(),
-            source,
-        })?,
+        camera: camera_file(frames.camera(), distortion, UNITS_PER_M, &path)?,
         device_poses: trajectory(&timestamps, poses.into_iter()),
         timestamps,
-        source: Box::new(TreeFrames {
-            tree,
-            video: None,
-            frames,
-            depth_coding,
-            working,
-        }),
+        source: Box::new(frames),
     })
 }
 

@@ -7,6 +7,7 @@
 //! Invariants: input is untrusted. Sizes are bounded before anything is allocated for them, and only
 //! regular files below the given path are opened.
 
+mod camera_file;
 mod cdr;
 mod colmap;
 mod depth_upsampling;
@@ -15,7 +16,6 @@ mod intrinsics;
 mod mcap_file;
 mod nerfstudio;
 mod phone_poses;
-mod pinhole;
 mod plain_folder;
 mod polycam;
 mod rational_lens;

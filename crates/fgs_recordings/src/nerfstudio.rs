@@ -5,24 +5,22 @@
 
 use std::path::Path;
 
-use fgs_data::{CameraFile, DataError, Format, SourcedRecording, natural_order};
+use fgs_data::{DataError, Format, SourcedRecording, natural_order};
 use fgs_geom::{Intrinsics, Se3};
 use nalgebra::Matrix4;
 use serde::Deserialize;
 
+use crate::camera_file::camera_file;
 use crate::fault::fault;
 use crate::intrinsics::{median, resized};
-use crate::phone_poses::{from_y_up, trajectory};
+use crate::phone_poses::{assumed_times, from_y_up, trajectory};
 use crate::tree::Tree;
-use crate::tree_frames::{ColorFile, DepthCoding, TreeFrame, TreeFrames, size_of, working_image};
+use crate::tree_frames::{ColorFile, DepthCoding, TreeFrame, TreeFrames, size_of};
 
 const TRANSFORMS: &str = "transforms.json";
 
 /// A hundred thousand frames.
 const MAX_BYTES: u64 = 128 * 1024 * 1024;
-
-/// Frames have no times: those of a camera of this rate, frames a second.
-const FRAME_RATE_HZ: f64 = 30.0;
 
 #[derive(Deserialize)]
 struct Transforms {
@@ -98,7 +96,7 @@ pub(crate) fn open(tree: Tree) -> Result<SourcedRecording, DataError> {
     }
     let distortion = distortion(&path, &transforms.lens, &listed, transforms.camera_model)?;
     let own: Vec<Intrinsics> = frames.iter().filter_map(|frame| frame.intrinsics).collect();
-    let (Some(first), Some(common)) = (frames.first(), median(&own)) else {
+    let Some(common) = median(&own) else {
         return Err(fault(&path, "has no frame".into()));
     };
     let metres = transforms
@@ -114,28 +112,15 @@ pub(crate) fn open(tree: Tree) -> Result<SourcedRecording, DataError> {
     let depth_coding = DepthCoding::Png {
         units_per_m: units_per_m as f32,
     };
-    let working = working_image(&tree, &first.depth, color_size, depth_coding, &path, common)?;
-    let timestamps: Vec<f64> = (0..frames.len())
-        .map(|index| index as f64 / FRAME_RATE_HZ)
-        .collect();
+    let frames = TreeFrames::new(tree, frames, depth_coding, color_size, common, &path)?;
+    let timestamps = assumed_times(listed.len());
     let poses = listed.iter().map(Frame::pose);
     Ok(SourcedRecording {
         format: Format::Nerfstudio,
-        camera: CameraFile::new(*working.camera(), distortion, units_per_m).map_err(|source| {
-            DataError::Camera {
-                path: path.clone(),
-                source,
-            }
-        })?,
+        camera: camera_file(frames.camera(), distortion, units_per_m, &path)?,
         device_poses: trajectory(&timestamps, poses),
         timestamps,
-        source: Box::new(TreeFrames {
-            tree,
-            video: None,
-            frames,
-            depth_coding,
-            working,
-        }),
+        source: Box::new(frames),
     })
 }
 

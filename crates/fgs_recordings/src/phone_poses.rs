@@ -11,6 +11,16 @@ pub(crate) fn from_y_up(world_from_camera: Se3) -> Se3 {
     world_from_camera * Se3::new(half_turn, Vector3::zeros())
 }
 
+/// Where frames have no times, those of a camera of this rate are assumed, frames a second.
+const FRAME_RATE_HZ: f64 = 30.0;
+
+/// The times of so many frames that have none, seconds.
+pub(crate) fn assumed_times(count: usize) -> Vec<f64> {
+    (0..count)
+        .map(|index| index as f64 / FRAME_RATE_HZ)
+        .collect()
+}
+
 /// The poses of those frames that have one; `None` if none has.
 ///
 /// # Errors

@@ -11,12 +11,12 @@ use fgs_geom::{Intrinsics, Se3};
 use nalgebra::Matrix4;
 use serde::Deserialize;
 
+use crate::camera_file::pinhole;
 use crate::fault::fault;
 use crate::intrinsics::{median, resized};
 use crate::phone_poses::{from_y_up, trajectory};
-use crate::pinhole::pinhole;
 use crate::tree::Tree;
-use crate::tree_frames::{ColorFile, DepthCoding, TreeFrame, TreeFrames, size_of, working_image};
+use crate::tree_frames::{ColorFile, DepthCoding, TreeFrame, TreeFrames, size_of};
 
 const KEYFRAMES: &str = "keyframes";
 const DEPTH: &str = "keyframes/depth";
@@ -98,7 +98,7 @@ pub(crate) fn open(tree: Tree) -> Result<SourcedRecording, DataError> {
         poses.push(camera.pose());
     }
     let own: Vec<Intrinsics> = frames.iter().filter_map(|frame| frame.intrinsics).collect();
-    let (Some(first), Some(size), Some(common)) = (frames.first(), color_size, median(&own)) else {
+    let (Some(size), Some(common)) = (color_size, median(&own)) else {
         return Err(DataError::Empty {
             path,
             what: "frame of an image, a camera and a depth image",
@@ -107,19 +107,13 @@ pub(crate) fn open(tree: Tree) -> Result<SourcedRecording, DataError> {
     let depth_coding = DepthCoding::Png {
         units_per_m: 1000.0,
     };
-    let working = working_image(&tree, &first.depth, size, depth_coding, &path, common)?;
+    let frames = TreeFrames::new(tree, frames, depth_coding, size, common, &path)?;
     Ok(SourcedRecording {
         format: Format::Polycam,
-        camera: pinhole(*working.camera(), &path)?,
+        camera: pinhole(frames.camera(), &path)?,
         device_poses: trajectory(&timestamps, poses.into_iter()),
         timestamps,
-        source: Box::new(TreeFrames {
-            tree,
-            video: None,
-            frames,
-            depth_coding,
-            working,
-        }),
+        source: Box::new(frames),
     })
 }
 

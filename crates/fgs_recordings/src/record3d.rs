@@ -10,12 +10,12 @@ use fgs_data::{DataError, Format, SourcedRecording, Trajectory};
 use fgs_geom::{Intrinsics, Se3};
 use serde::Deserialize;
 
+use crate::camera_file::pinhole;
 use crate::fault::fault;
 use crate::intrinsics::{median, resized};
 use crate::phone_poses::{from_y_up, trajectory};
-use crate::pinhole::pinhole;
 use crate::tree::Tree;
-use crate::tree_frames::{ColorFile, DepthCoding, TreeFrame, TreeFrames, size_of, working_image};
+use crate::tree_frames::{ColorFile, DepthCoding, TreeFrame, TreeFrames, size_of};
 
 const METADATA: &str = "metadata";
 const IMAGES: &str = "rgbd";
@@ -95,28 +95,15 @@ pub(crate) fn open(tree: Tree) -> Result<SourcedRecording, DataError> {
     let depth_coding = DepthCoding::Numbers {
         size: metadata.depth_size(&path, color_size)?,
     };
-    let working = working_image(
-        &tree,
-        &format!("{IMAGES}/{first}.depth"),
-        color_size,
-        depth_coding,
-        &path,
-        common,
-    )?;
+    let frames = TreeFrames::new(tree, frames, depth_coding, color_size, common, &path)?;
     let timestamps = metadata.timestamps(&numbers, count);
     let device_poses = metadata.poses(&path, &timestamps, &numbers, count);
     Ok(SourcedRecording {
         format: Format::Record3d,
-        camera: pinhole(*working.camera(), &path)?,
+        camera: pinhole(frames.camera(), &path)?,
         timestamps,
         device_poses,
-        source: Box::new(TreeFrames {
-            tree,
-            video: None,
-            frames,
-            depth_coding,
-            working,
-        }),
+        source: Box::new(frames),
     })
 }
 

@@ -9,11 +9,12 @@ use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 
 use fgs_data::{
-    CameraFile, DataError, Format, FrameImages, FrameSource, OpenOptions, SourcedRecording,
-    associate, natural_order,
+    DataError, Format, FrameImages, FrameSource, OpenOptions, SourcedRecording, associate,
+    natural_order,
 };
 use fgs_geom::{Camera, Intrinsics, PixelMap};
 
+use crate::camera_file::camera_file;
 use crate::cdr::{CdrReader, NotCdr};
 use crate::fault::{fault, io_fault};
 use crate::mcap_file::McapFile;
@@ -133,13 +134,9 @@ pub(crate) fn open(
         Bending::Polynomial(distortion) => (distortion, None),
         Bending::Rational(d) => (None, Some(undistortion(&d, working.camera()))),
     };
-    let camera = CameraFile::new(*working.camera(), distortion, DEPTH_SCALE);
     Ok(SourcedRecording {
         format: Format::Mcap,
-        camera: camera.map_err(|source| DataError::Camera {
-            path: path.into(),
-            source,
-        })?,
+        camera: camera_file(*working.camera(), distortion, DEPTH_SCALE, path)?,
         timestamps: frames.iter().map(|(color, _)| color.secs).collect(),
         device_poses: Ok(None),
         source: Box::new(BagFrames {

@@ -10,12 +10,12 @@ use std::path::Path;
 use fgs_data::{DataError, Format, SourcedRecording, natural_order};
 use fgs_geom::{Intrinsics, Se3};
 
+use crate::camera_file::pinhole;
 use crate::fault::fault;
 use crate::intrinsics::median;
 use crate::phone_poses::trajectory;
-use crate::pinhole::pinhole;
 use crate::tree::Tree;
-use crate::tree_frames::{ColorFile, DepthCoding, TreeFrame, TreeFrames, size_of, working_image};
+use crate::tree_frames::{ColorFile, DepthCoding, TreeFrame, TreeFrames, size_of};
 use crate::video::Video;
 
 const ODOMETRY: &str = "odometry.csv";
@@ -79,36 +79,23 @@ pub(crate) fn open(tree: Tree) -> Result<SourcedRecording, DataError> {
         frames.iter_mut().for_each(|frame| frame.intrinsics = None);
     }
     let common = own.as_deref().and_then(median).unwrap_or(matrix);
-    let Some(first) = frames.first() else {
+    if frames.is_empty() {
         return Err(DataError::Empty {
             path: tree.shown("depth"),
             what: "PNG image by the number of a frame in odometry.csv",
         });
-    };
+    }
     let depth_coding = DepthCoding::Png {
         units_per_m: 1000.0,
     };
-    let working = working_image(
-        &tree,
-        &first.depth,
-        size,
-        depth_coding,
-        &camera_path,
-        common,
-    )?;
+    let frames = TreeFrames::new(tree, frames, depth_coding, size, common, &camera_path)?;
     let timestamps: Vec<f64> = kept.iter().map(|row| row.timestamp_secs).collect();
     Ok(SourcedRecording {
         format: Format::StrayScanner,
-        camera: pinhole(*working.camera(), &camera_path)?,
+        camera: pinhole(frames.camera(), &camera_path)?,
         device_poses: trajectory(&timestamps, kept.iter().map(|row| row.pose)),
         timestamps,
-        source: Box::new(TreeFrames {
-            tree,
-            video,
-            frames,
-            depth_coding,
-            working,
-        }),
+        source: Box::new(frames.with_video(video)),
     })
 }
 

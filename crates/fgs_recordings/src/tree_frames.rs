@@ -48,12 +48,12 @@ pub(crate) enum DepthCoding {
 
 /// The frames of a recording.
 pub(crate) struct TreeFrames {
-    pub tree: Tree,
+    tree: Tree,
     /// Colour, where it is not in files of its own.
-    pub video: Option<Video>,
-    pub frames: Vec<TreeFrame>,
-    pub depth_coding: DepthCoding,
-    pub working: WorkingImage,
+    video: Option<Video>,
+    frames: Vec<TreeFrame>,
+    depth_coding: DepthCoding,
+    working: WorkingImage,
 }
 
 /// Columns and rows of an image, from its header.
@@ -65,30 +65,6 @@ pub(crate) fn size_of(tree: &Tree, name: &str) -> Result<(usize, usize), DataErr
         return Err(fault(&path, "has more than 100 megapixels".into()));
     }
     Ok(size)
-}
-
-/// How images of a recording become frames. The first frame's colour image has this size, and by it these
-/// intrinsics.
-///
-/// # Errors
-/// If they do not fit together. `path` is the file that says what the camera is.
-pub(crate) fn working_image(
-    tree: &Tree,
-    first_depth: &str,
-    (width, height): (usize, usize),
-    depth_coding: DepthCoding,
-    path: &Path,
-    intrinsics: Intrinsics,
-) -> Result<WorkingImage, DataError> {
-    let depth_size = match depth_coding {
-        DepthCoding::Png { .. } => size_of(tree, first_depth)?,
-        DepthCoding::Numbers { size } => size,
-    };
-    let native = Camera::new(width, height, intrinsics).map_err(|source| DataError::Camera {
-        path: path.into(),
-        source,
-    })?;
-    WorkingImage::new(&native, depth_size).map_err(|message| fault(path, message))
 }
 
 impl FrameSource for TreeFrames {
@@ -112,6 +88,49 @@ impl FrameSource for TreeFrames {
 }
 
 impl TreeFrames {
+    /// Frames whose colour images are files of this size, and by it of these intrinsics. `path` is the file that
+    /// says what the camera is.
+    ///
+    /// # Errors
+    /// If they do not fit together, or the first frame's depth image cannot be read.
+    pub(crate) fn new(
+        tree: Tree,
+        frames: Vec<TreeFrame>,
+        depth_coding: DepthCoding,
+        (width, height): (usize, usize),
+        intrinsics: Intrinsics,
+        path: &Path,
+    ) -> Result<Self, DataError> {
+        let depth_size = match (depth_coding, frames.first()) {
+            (DepthCoding::Numbers { size }, _) => size,
+            (DepthCoding::Png { .. }, Some(first)) => size_of(&tree, &first.depth)?,
+            (DepthCoding::Png { .. }, None) => return Err(fault(path, "has no frame".into())),
+        };
+        let native =
+            Camera::new(width, height, intrinsics).map_err(|source| DataError::Camera {
+                path: path.into(),
+                source,
+            })?;
+        let working = WorkingImage::new(&native, depth_size);
+        Ok(Self {
+            working: working.map_err(|message| fault(path, message))?,
+            tree,
+            video: None,
+            frames,
+            depth_coding,
+        })
+    }
+
+    /// The same, whose colour images may be in a video.
+    pub(crate) fn with_video(self, video: Option<Video>) -> Self {
+        Self { video, ..self }
+    }
+
+    /// The camera of the frames as they are given out.
+    pub(crate) fn camera(&self) -> Camera {
+        *self.working.camera()
+    }
+
     /// A colour image as it comes.
     fn color(&self, file: &ColorFile) -> Result<Image<[u8; 3]>, DataError> {
         let size = self.working.color_size();
