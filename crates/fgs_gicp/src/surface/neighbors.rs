@@ -20,17 +20,7 @@ pub fn points_from_neighbors(
 ) -> Vec<Point> {
     let radius_m = usual_radius_m(positions, count);
     let radius_m = radius_m.max(1e-3 * max_distance_m).min(max_distance_m);
-    let mut map = PointMap::new(radius_m);
-    for (&position, id) in positions.iter().zip(0..) {
-        let covariance = Covariance::isotropic();
-        map.insert(
-            id,
-            Point {
-                position,
-                covariance,
-            },
-        );
-    }
+    let map = map_of(positions, radius_m);
     let point = |&position: &Vector3<f32>| {
         // Where the cloud is dense, most of what is within the limit is not among the nearest.
         let mut reach_m = 1.5 * radius_m;
@@ -46,6 +36,22 @@ pub fn points_from_neighbors(
         })
     };
     positions.par_iter().filter_map(point).collect()
+}
+
+/// The points of a cloud, to search among.
+fn map_of(positions: &[Vector3<f32>], radius_m: f32) -> PointMap {
+    let mut map = PointMap::new(radius_m);
+    for (&position, id) in positions.iter().zip(0..) {
+        let covariance = Covariance::isotropic();
+        map.insert(
+            id,
+            Point {
+                position,
+                covariance,
+            },
+        );
+    }
+    map
 }
 
 /// The median distance, over a sample of the points, to the last of the `count` nearest.

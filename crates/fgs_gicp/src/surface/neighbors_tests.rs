@@ -47,17 +47,7 @@ fn disks_are_those_of_a_plain_search() {
     positions[7] = Vector3::new(f32::NAN, 0.0, 0.0);
     positions[8] = Vector3::new(50.0, 0.0, 0.0);
     for max_distance_m in [0.05, 0.3, 3.0] {
-        let mut map = PointMap::new(max_distance_m);
-        for (&position, id) in positions.iter().zip(0..) {
-            let covariance = Covariance::isotropic();
-            map.insert(
-                id,
-                Point {
-                    position,
-                    covariance,
-                },
-            );
-        }
+        let map = map_of(&positions, max_distance_m);
         let covariances = covariances_from_neighbors(&map, &positions, 10, max_distance_m);
         let expected: Vec<Point> = (positions.iter().zip(covariances))
             .filter_map(|(&position, covariance)| {
