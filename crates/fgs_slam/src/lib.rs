@@ -28,6 +28,7 @@ mod registrar;
 mod relocalizer;
 mod repeats;
 mod saved_session;
+mod seam;
 mod seeding;
 mod separation;
 mod session;

@@ -17,6 +17,7 @@ use crate::merge::Renumbering;
 use crate::missing::missing_region;
 use crate::prepare::PreparedKeyframe;
 use crate::refinement::Rounds;
+use crate::seam::{Seam, views_of};
 use crate::view_choice::ViewChoice;
 
 /// A keyframe that shows more than this share of the newest keyframe's gaussians is covisible with
@@ -269,6 +270,19 @@ impl Mapper {
     pub fn move_keyframes(&mut self, moves: &[(KeyframeId, Se3)]) -> Result<(), MapperError> {
         self.state.reference = None;
         Ok(self.model.move_anchored(moves)?)
+    }
+
+    /// Removes what the later side of a seam repeats of the earlier. The next steps go to the views that
+    /// showed it.
+    ///
+    /// # Errors
+    /// If the model fails.
+    pub(crate) fn mend(&mut self, seam: &Seam) -> Result<(), MapperError> {
+        let map = self.model.save()?;
+        let repeated = seam.repeated(&map, self.config.seeding.min_alpha);
+        self.state.reference = None;
+        self.state.choice.draw_first(views_of(&map, &repeated));
+        Ok(self.model.remove(&repeated)?)
     }
 
     /// How many steps were taken.

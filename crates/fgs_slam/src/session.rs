@@ -20,6 +20,7 @@ use crate::loops::{LoopCloser, successive_edge};
 use crate::mapper::MapperError;
 use crate::refinement::RefinedMap;
 use crate::saved_session::{RecordedFrame, SavedSession};
+use crate::seam::Seam;
 use crate::separation::Separation;
 use crate::submaps::Submaps;
 use crate::system::{self, Execution, MapStatus, MapperGone, Mapping, Moves};
@@ -608,6 +609,10 @@ impl Slam {
         else {
             return Ok(());
         };
+        let seam = correction
+            .edges
+            .last()
+            .map(|edge| Seam::between(&self.graph, &self.submaps, edge.from, edge.to));
         for edge in correction.edges {
             let (from, to) = (edge.from, edge.to);
             if self.graph.add_edge(edge).is_ok() {
@@ -619,7 +624,11 @@ impl Slam {
         if correction.moves.is_empty() {
             return Ok(());
         }
-        self.move_keyframes(&correction.moves)
+        self.move_keyframes(&correction.moves)?;
+        match seam {
+            Some(seam) => Ok(self.mapping.mend(seam)?),
+            None => Ok(()),
+        }
     }
 
     fn next_index(&self) -> FrameIndex {

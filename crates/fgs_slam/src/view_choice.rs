@@ -45,8 +45,14 @@ impl ViewChoice {
         self.covisible = covisible.into_iter().map(|(id, _)| id).collect();
         self.covisible.push(current);
         self.others = others.into_iter().map(|(id, _)| id).collect();
-        self.first
-            .extend(std::iter::repeat_n(current, newest_first));
+        for _ in 0..newest_first {
+            self.first.push_front(current);
+        }
+    }
+
+    /// These views are drawn before all others but the newest.
+    pub fn draw_first(&mut self, views: impl IntoIterator<Item = KeyframeId>) {
+        self.first.extend(views);
     }
 
     /// A view is gone.
@@ -102,6 +108,16 @@ mod tests {
                 "{counts:?}"
             );
         }
+    }
+
+    #[test]
+    fn what_is_to_be_drawn_first_waits_only_for_the_newest() {
+        let mut choice = views();
+        choice.draw_first([KeyframeId(1), KeyframeId(0)]);
+        choice.set_current(KeyframeId(4), &[], 0.7, 1);
+        choice.forget(KeyframeId(3));
+        let drawn: Vec<u32> = (0..3).map(|_| choice.draw(0.7).unwrap().0).collect();
+        assert_eq!(drawn, [4, 1, 0]);
     }
 
     #[test]

@@ -67,6 +67,9 @@ impl GaussianModel for BadModel {
     fn prune(&mut self, rule: &PruneRule) -> Result<(), ModelError> {
         self.model.prune(rule)
     }
+    fn remove(&mut self, indices: &[usize]) -> Result<(), ModelError> {
+        self.model.remove(indices)
+    }
     fn make_room(&mut self, added: usize, max: usize) -> Result<(), ModelError> {
         self.model.make_room(added, max)
     }

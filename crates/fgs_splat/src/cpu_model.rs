@@ -140,18 +140,21 @@ impl GaussianModel for CpuModel {
         Ok(())
     }
 
+    fn remove(&mut self, indices: &[usize]) -> Result<(), ModelError> {
+        for i in indices {
+            if let Some(logit) = self.gaussians.opacity_logits.get_mut(*i) {
+                *logit = f32::NAN;
+            }
+        }
+        self.prune(&PruneRule::NOT_A_NUMBER)
+    }
+
     fn make_room(&mut self, added: usize, max: usize) -> Result<(), ModelError> {
-        let (count, logits) = (self.len(), &mut self.gaussians.opacity_logits);
+        let (count, logits) = (self.len(), &self.gaussians.opacity_logits);
         let views = self.views.values();
         let views = views.map(|view| Ok::<_, ModelError>(view.visible.words(count)));
         let least = least_useful(logits, views, added, max)?;
-        if least.is_empty() {
-            return Ok(());
-        }
-        for i in least {
-            logits[i] = f32::NAN;
-        }
-        self.prune(&PruneRule::NOT_A_NUMBER)
+        self.remove(&least)
     }
 
     fn fade_contradicted(&mut self, view: &View, depth_m: &Image<f32>) -> Result<(), ModelError> {

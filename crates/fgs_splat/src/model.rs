@@ -162,6 +162,13 @@ pub trait GaussianModel: Send {
     /// If the device fails.
     fn prune(&mut self, rule: &PruneRule) -> Result<(), ModelError>;
 
+    /// Removes gaussians by their index in [`save`](Self::save), and those whose opacity or scales are NaN.
+    /// An index beyond the last is ignored. Waits for the device.
+    ///
+    /// # Errors
+    /// If the device fails.
+    fn remove(&mut self, indices: &[usize]) -> Result<(), ModelError>;
+
     /// Makes room for `added` more gaussians if there would be more than `max`, and for a sixteenth of
     /// `max` beyond: those go first that the newest 16 views do not show, then those that the fewest
     /// views show, then the more transparent, then the older. Waits for the device.

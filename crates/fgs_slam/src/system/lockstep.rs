@@ -10,6 +10,7 @@ use fgs_splat::Gaussians;
 use super::mapping::{MapperGone, Mapping, Moves};
 use super::worker::{MapperWorker, MappingOutput, SavedMapping};
 use crate::keyframes::{FrameWork, Keyframe};
+use crate::seam::Seam;
 
 /// The mapper, whose turn comes after each frame.
 pub struct Lockstep {
@@ -45,6 +46,11 @@ impl Mapping for Lockstep {
 
     fn move_keyframes(&mut self, moves: &Moves) -> Result<(), MapperGone> {
         let alive = self.worker.turn(|worker| worker.move_keyframes(moves));
+        alive.then_some(()).ok_or(MapperGone)
+    }
+
+    fn mend(&mut self, seam: Seam) -> Result<(), MapperGone> {
+        let alive = self.worker.turn(|worker| worker.mend(&seam));
         alive.then_some(()).ok_or(MapperGone)
     }
 

@@ -9,6 +9,7 @@ use fgs_splat::Gaussians;
 
 use super::worker::{MappingOutput, SavedMapping};
 use crate::keyframes::{FrameWork, Keyframe};
+use crate::seam::Seam;
 
 /// The mapper cannot go on; [`Mapping::finish`] says why.
 pub struct MapperGone;
@@ -27,6 +28,9 @@ pub trait Mapping: Send {
 
     /// Keyframes have moved, and the map must move with them.
     fn move_keyframes(&mut self, moves: &Moves) -> Result<(), MapperGone>;
+
+    /// The map was closed by the motions before: what both sides of a seam show is thinned out.
+    fn mend(&mut self, seam: Seam) -> Result<(), MapperGone>;
 
     /// A copy of the map with every keyframe handed over so far.
     fn snapshot(&mut self) -> Result<Gaussians, MapperGone>;

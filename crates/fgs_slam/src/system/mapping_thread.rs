@@ -13,6 +13,7 @@ use fgs_splat::Gaussians;
 use super::mapping::{MapperGone, Mapping, Moves};
 use super::worker::{MapperWorker, MappingOutput, SavedMapping};
 use crate::keyframes::{FrameWork, Keyframe};
+use crate::seam::Seam;
 
 /// What the tracking side tells the mapper.
 pub enum Message {
@@ -20,6 +21,8 @@ pub enum Message {
     Frame(Option<FrameWork>),
     /// Keyframes have moved.
     Move(Moves),
+    /// They closed the map.
+    Mend(Seam),
     /// A copy of the map is wanted.
     Snapshot(Sender<Gaussians>),
     /// All that the next turns depend on is wanted.
@@ -82,6 +85,7 @@ pub fn obey(worker: &mut MapperWorker, message: Message) -> bool {
         Message::Frame(Some(work)) => worker.take(work),
         Message::Frame(None) => Ok(()),
         Message::Move(moves) => worker.move_keyframes(&moves),
+        Message::Mend(seam) => worker.mend(&seam),
         Message::Snapshot(answer) => {
             worker.settle()?;
             // Whoever asked may have given up.
@@ -110,6 +114,10 @@ impl Mapping for MappingThread {
 
     fn move_keyframes(&mut self, moves: &Moves) -> Result<(), MapperGone> {
         self.send(Message::Move(Moves::clone(moves)))
+    }
+
+    fn mend(&mut self, seam: Seam) -> Result<(), MapperGone> {
+        self.send(Message::Mend(seam))
     }
 
     fn snapshot(&mut self) -> Result<Gaussians, MapperGone> {

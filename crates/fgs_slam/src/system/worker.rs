@@ -20,6 +20,7 @@ use crate::mapper::{Mapper, MapperError, MapperState};
 use crate::merge::Renumbering;
 use crate::prepare::PreparedKeyframe;
 use crate::refinement::RefinedMap;
+use crate::seam::Seam;
 
 /// What the mapper tells the tracking side. Bounded by the size of the map.
 #[derive(Default)]
@@ -391,6 +392,14 @@ impl MapperWorker {
     pub fn move_keyframes(&mut self, moves: &[(KeyframeId, Se3)]) -> Result<(), MapperError> {
         self.settle()?;
         self.mapper.move_keyframes(moves)
+    }
+
+    /// Thins out what both sides of a seam show.
+    pub fn mend(&mut self, seam: &Seam) -> Result<(), MapperError> {
+        if self.is_frozen {
+            return Ok(());
+        }
+        self.mapper.mend(seam)
     }
 
     /// A copy of the map.

@@ -223,7 +223,9 @@ impl DeviceMap {
     pub fn mark_unwanted(&self, unwanted: &[usize]) -> Result<(), GpuError> {
         let mut rows: Vec<Gaussian> = self.read_all("gaussians")?;
         for i in unwanted {
-            rows[*i].opacity_logit = f32::NAN;
+            if let Some(row) = rows.get_mut(*i) {
+                row.opacity_logit = f32::NAN;
+            }
         }
         self.write("gaussians", bytemuck::cast_slice(&rows))
     }

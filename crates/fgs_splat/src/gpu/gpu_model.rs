@@ -192,6 +192,16 @@ impl GaussianModel for GpuModel {
         self.work.push(Work::Prune(*rule))
     }
 
+    fn remove(&mut self, indices: &[usize]) -> Result<(), ModelError> {
+        self.work.finish()?;
+        if self.is_empty() {
+            return Ok(());
+        }
+        self.work.map.mark_unwanted(indices)?;
+        self.prune(&PruneRule::NOT_A_NUMBER)?;
+        self.work.finish()
+    }
+
     fn make_room(&mut self, added: usize, max: usize) -> Result<(), ModelError> {
         self.work.finish()?;
         if self.len().saturating_add(added) <= max {
@@ -201,9 +211,7 @@ impl GaussianModel for GpuModel {
         let sets: Vec<u32> = self.work.views.iter().map(|(_, view)| view.set).collect();
         let views = sets.iter().map(|set| self.visible(*set));
         let least = least_useful(&logits, views, added, max)?;
-        self.work.map.mark_unwanted(&least)?;
-        self.prune(&PruneRule::NOT_A_NUMBER)?;
-        self.work.finish()
+        self.remove(&least)
     }
 
     fn fade_contradicted(&mut self, view: &View, depth_m: &Image<f32>) -> Result<(), ModelError> {

@@ -393,6 +393,42 @@ fn a_keyframe_of_another_exposure_is_brought_to_the_maps() {
 }
 
 #[test]
+fn what_is_removed_is_gone_with_all_of_its_state() {
+    let world = world();
+    on_each_backend(|new_model| {
+        let mut model = world.fill(new_model(&ModelSettings::default()));
+        model.step(FIRST).unwrap();
+        let before = model.save().unwrap();
+        model.remove(&[2 * COUNT, usize::MAX]).unwrap();
+        assert!(model.save().unwrap() == before);
+
+        let is_gone = |i: usize| i % 3 == 1;
+        let gone: Vec<usize> = (0..2 * COUNT).filter(|i| is_gone(*i)).collect();
+        model.remove(&gone).unwrap();
+        let ids = |i: &usize| SparseId(*i as u32);
+        assert!(
+            model
+                .take_removed()
+                .unwrap()
+                .iter()
+                .copied()
+                .eq(gone.iter().map(ids))
+        );
+        let after = model.save().unwrap();
+        let kept: Vec<usize> = (0..2 * COUNT).filter(|i| !is_gone(*i)).collect();
+        for (now, i) in kept.iter().enumerate() {
+            assert_eq!(after.gaussians.means[now], before.gaussians.means[*i]);
+            assert_eq!(after.anchors[now], before.anchors[*i]);
+            for (after, before) in after.views.iter().zip(&before.views) {
+                let bit = |words: &[u32], i: usize| words[i / 32] >> (i % 32) & 1;
+                assert_eq!(bit(&after.visible, now), bit(&before.visible, *i));
+            }
+        }
+        model.step(FIRST).unwrap();
+    });
+}
+
+#[test]
 fn a_full_map_lets_go_of_what_is_seen_least_and_reports_it() {
     let world = world();
     let left = RefCell::new(Vec::new());
