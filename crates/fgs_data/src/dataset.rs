@@ -69,13 +69,30 @@ impl Dataset {
             depth_scale: camera.depth_scale() as f32,
             no_depth: recording.no_depth,
         };
-        Ok(Self {
+        let loader = FrameLoader::new(Arc::new(source), timestamps, &camera);
+        let (poses, origin) = (recording.ground_truth, recording.pose_origin);
+        Ok(Self::new(format, loader, camera, poses, origin))
+    }
+
+    fn new(
+        format: Format,
+        mut loader: FrameLoader,
+        camera_file: CameraFile,
+        ground_truth: Result<Option<Trajectory>, DataError>,
+        pose_origin: PoseOrigin,
+    ) -> Self {
+        if pose_origin == PoseOrigin::Device
+            && let Ok(Some(poses)) = &ground_truth
+        {
+            loader = loader.with_device_poses(poses);
+        }
+        Self {
             format,
-            loader: Arc::new(FrameLoader::new(Arc::new(source), timestamps, &camera)),
-            camera_file: camera,
-            ground_truth: recording.ground_truth,
-            pose_origin: recording.pose_origin,
-        })
+            loader: Arc::new(loader),
+            camera_file,
+            ground_truth,
+            pose_origin,
+        }
     }
 
     /// A recording whose images come from elsewhere. Its camera is the one of `options`, if there is
@@ -110,13 +127,8 @@ impl Dataset {
         // Depth comes in metres; another scale says that they are not.
         let loader = FrameLoader::new(source, timestamps, &camera)
             .with_depth_factor((own.depth_scale() / camera.depth_scale()) as f32);
-        Ok(Self {
-            format: recording.format,
-            loader: Arc::new(loader),
-            camera_file: camera,
-            ground_truth: recording.device_poses,
-            pose_origin: PoseOrigin::Device,
-        })
+        let (format, poses) = (recording.format, recording.device_poses);
+        Ok(Self::new(format, loader, camera, poses, PoseOrigin::Device))
     }
 
     /// The detected layout.

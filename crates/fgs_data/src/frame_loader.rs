@@ -8,7 +8,7 @@ use fgs_geom::{Camera, DepthSensor, FrameIndex, Image, PixelMap, RgbdFrame, dept
 use crate::formats::FrameFiles;
 use crate::frame_source::{FrameImages, FrameSource};
 use crate::images::{read_color, read_depth};
-use crate::{CameraFile, DataError};
+use crate::{CameraFile, DataError, Trajectory};
 
 /// Everything needed to load a frame; shared by the decoder threads.
 #[derive(Clone)]
@@ -23,6 +23,8 @@ pub(crate) struct FrameLoader {
     depth_factor: f32,
     depth_sensor: DepthSensor,
     color_readout_secs: f64,
+    /// The recording device's own poses, of some of the frames.
+    device_poses: Option<Arc<Trajectory>>,
 }
 
 impl FrameLoader {
@@ -48,7 +50,14 @@ impl FrameLoader {
             depth_factor: 1.0,
             depth_sensor: camera_file.depth_sensor(),
             color_readout_secs: camera_file.color_readout_secs(),
+            device_poses: None,
         }
+    }
+
+    /// The same with the device's own poses at the frames' times.
+    pub fn with_device_poses(mut self, poses: &Trajectory) -> Self {
+        self.device_poses = Some(Arc::new(poses.clone()));
+        self
     }
 
     /// The same with all depth multiplied by a factor.
@@ -109,6 +118,8 @@ impl FrameLoader {
         .map_err(|source| DataError::Frame { index, source })?;
         frame.depth_sensor = self.depth_sensor;
         frame.color_readout_secs = self.color_readout_secs;
+        let poses = self.device_poses.as_ref();
+        frame.device_pose = poses.and_then(|poses| poses.at(timestamp_secs));
         Ok(frame)
     }
 }

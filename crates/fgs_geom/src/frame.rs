@@ -8,7 +8,7 @@ use std::sync::Arc;
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
-use crate::{Camera, DepthSensor, Image};
+use crate::{Camera, DepthSensor, Image, Se3};
 
 /// The position of a frame in its recording, from 0.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
@@ -45,6 +45,9 @@ pub struct RgbdFrame {
     /// negative if it reads from the bottom; 0 for a global shutter. The frame's time is that of
     /// the middle row.
     pub color_readout_secs: f64,
+    /// Where the recording device believes its colour camera to have been, `world_from_camera` in a world of
+    /// its own, which may drift and jump; `None` if it does not say.
+    pub device_pose: Option<Se3>,
 }
 
 /// Why images and camera do not make a frame.
@@ -105,6 +108,7 @@ impl RgbdFrame {
             color_valid: None,
             depth_sensor: DepthSensor::default(),
             color_readout_secs: 0.0,
+            device_pose: None,
         };
         frame.check()?;
         Ok(frame)

@@ -13,7 +13,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::color_aligner::ColorAligner;
 use crate::config::{SlamConfig, SurfaceConfig, TrackingConfig};
-use crate::motion::MotionModel;
+use crate::motion::{MotionModel, Prediction};
 use crate::sparse_map::SparseMap;
 use crate::verdict::{Evidence, Verdict};
 use crate::weak_directions::{fused_pose, held_information};
@@ -32,10 +32,6 @@ const ROUGH_STEPS: usize = 4;
 /// No depth camera measures a surface better than this at the distances of a room: a floor under
 /// the noise that a registration finds in its residuals.
 const SENSOR_NOISE_M: f64 = 1e-4;
-
-/// Standard deviations of what a hand does between two frames that the motion model does not predict.
-const PREDICTED_ROTATION_RAD: f64 = 0.02;
-const PREDICTED_TRANSLATION_M: f64 = 0.02;
 
 /// How much of the corners' information counts: their errors are not as independent as it says. With all
 /// of it they moved poses of slow cameras by centimetres; with a hundredth fast ones slid along walls.
@@ -70,6 +66,8 @@ pub struct Start {
     pub world_from_depth: Se3,
     /// How sure it is, tangent `[omega, v]`: where the frame's points do not hold the camera, it stays.
     pub information: Matrix6<f64>,
+    /// Whether it holds the camera where nothing else does.
+    pub holds: bool,
 }
 
 impl Start {
@@ -78,20 +76,22 @@ impl Start {
         Self {
             world_from_depth,
             information: CORNER_TRUST * information,
+            holds: false,
         }
     }
 
     /// What the motion model predicts.
-    pub fn predicted(world_from_depth: Se3) -> Self {
+    pub fn predicted(predicted: &Prediction) -> Self {
         let (turn, shift) = (
-            PREDICTED_ROTATION_RAD.powi(-2),
-            PREDICTED_TRANSLATION_M.powi(-2),
+            predicted.rotation_rad.powi(-2),
+            predicted.translation_m.powi(-2),
         );
         let information =
             Matrix6::from_diagonal(&Vector6::new(turn, turn, turn, shift, shift, shift));
         Self {
-            world_from_depth,
+            world_from_depth: predicted.world_from_camera,
             information,
+            holds: predicted.holds,
         }
     }
 }
@@ -110,13 +110,8 @@ pub struct Attempt {
     pub is_doubtful: bool,
     /// The keyframe by whose look it was found, if nothing else led there.
     pub relocalized_by: Option<KeyframeId>,
-}
-
-impl Attempt {
-    /// Whether more than the motion model says where the camera is.
-    pub fn is_held(&self) -> bool {
-        self.verdict == Verdict::Tracked || self.evidence.is_held()
-    }
+    /// The [uncertainty](Evidence::uncertainty_m) by depth and colour alone.
+    pub uncertainty_m: f64,
 }
 
 /// Where a frame was taken.
@@ -147,6 +142,8 @@ struct Registered {
     information: Option<Matrix6<f64>>,
     /// What of it the points hold.
     held: Matrix6<f64>,
+    /// What else holds the camera.
+    carried: Matrix6<f64>,
 }
 
 impl Registrar {
@@ -176,10 +173,12 @@ impl Registrar {
                 world_from_depth: *world_from_camera * color_from_depth,
                 information: None,
                 held: Matrix6::zeros(),
+                carried: Matrix6::zeros(),
             };
             Attempt {
                 verdict: Verdict::Tracked,
                 is_doubtful: false,
+                uncertainty_m: 0.0,
                 ..self.locate(measured, known, &registered, Evidence::default())
             }
         })
@@ -227,6 +226,7 @@ impl Registrar {
             world_from_depth: start.world_from_depth,
             information: Some(start.information),
             held: start.information,
+            carried: Matrix6::zeros(),
         };
         let attempt = self.locate(measured, known, &started, Evidence::default());
         attempt.evidence.agrees().then_some(attempt.located)
@@ -249,14 +249,20 @@ impl Registrar {
             SENSOR_NOISE_M,
         );
         let held = self.config.depth_trust * held;
+        let carried = if start.holds {
+            start.information
+        } else {
+            Matrix6::zeros()
+        };
         Registered {
             world_from_depth: fused_pose(
                 &alignment.target_from_source,
                 &start.world_from_depth,
                 [&held, &start.information],
             ),
-            information: Some(self.information(alignment)),
+            information: Some(self.information(alignment) + carried),
             held,
+            carried,
         }
     }
 
@@ -337,7 +343,13 @@ impl Registrar {
             }
         }
         evidence.uncertainty_m = position_uncertainty_m(&held);
+        let uncertainty_m = evidence.uncertainty_m;
+        if registered.carried != Matrix6::zeros() {
+            held += in_color_axes(&registered.carried);
+            evidence.uncertainty_m = position_uncertainty_m(&held);
+        }
         Attempt {
+            uncertainty_m,
             verdict: evidence.verdict(&self.config),
             is_doubtful: evidence.is_doubtful(&self.config),
             relocalized_by: None,

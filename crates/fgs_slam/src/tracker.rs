@@ -38,7 +38,7 @@ use crate::repeats::{Clock, LatestFrame, Repeat};
 use crate::sparse_map::{SavedSparseMap, SparseMap};
 use crate::submaps::APART_M;
 use crate::surface::tracking_grid;
-use crate::verdict::Verdict;
+use crate::verdict::{Hold, Verdict};
 
 /// A camera is lost for good when it has not been found in so many frames that show what the frame before each
 /// shows, less those that do not: it sees well, but nothing that is known.
@@ -93,7 +93,7 @@ enum Footing {
     Lost { followed: usize },
     /// One frame says where it is. If the next does not agree, what was before is taken up.
     Found {
-        motion_before: MotionModel,
+        motion_before: Box<MotionModel>,
         home_before: Option<KeyframeId>,
     },
 }
@@ -307,11 +307,12 @@ impl Tracker {
             seconds: frame.timestamp_secs,
         };
         let predicted = match self.footing {
-            Footing::Firm => self.motion.predict(measured.seconds).map(Start::predicted),
+            Footing::Firm => (self.motion).predict(measured.seconds, frame.device_pose.as_ref()),
             Footing::Lost { .. } | Footing::Found { .. } => None,
         };
+        let start = predicted.as_ref().map(Start::predicted);
         let followed =
-            predicted.and_then(|start| self.registrar.follow(measured, self.known(), &start));
+            start.and_then(|start| self.registrar.follow(measured, self.known(), &start));
         let pose = followed.map(|located| located.world_from_camera);
         Tracked {
             verdict: pose.map_or(Verdict::Lost, |_| Verdict::Weak),
@@ -505,11 +506,20 @@ impl Tracker {
             return (admission == Admission::Allowed).then(place).flatten();
         }
         let attempt = |start: &Start| self.registrar.attempt(measured, self.known(), start);
-        let predicted = self.motion.predict(measured.seconds);
+        let predict = |device| self.motion.predict(measured.seconds, device);
+        let predicted = predict(frame.device_pose.as_ref());
         let is_clear = |best: &Option<Attempt>| best.as_ref().is_some_and(|best| !best.is_doubtful);
-        let mut best = predicted.and_then(|predicted| attempt(&Start::predicted(predicted)));
+        let mut best = predicted.and_then(|predicted| attempt(&Start::predicted(&predicted)));
         if is_clear(&best) {
             return best;
+        }
+        // The device's world may have jumped.
+        if predicted.is_some_and(|predicted| predicted.is_by_device) {
+            let steady = predict(None).and_then(|steady| attempt(&Start::predicted(&steady)));
+            best = better(best, steady);
+            if is_clear(&best) {
+                return best;
+            }
         }
         let features = Features::detect(measured.frame);
         let color_from_depth = measured.frame.depth_sensor.color_from_depth;
@@ -549,7 +559,8 @@ impl Tracker {
     fn believe(&mut self, attempt: &Attempt) -> Verdict {
         let own = attempt.verdict;
         let is_a_find = own == Verdict::Tracked && attempt.evidence.is_a_find();
-        let has_slid = !attempt.is_held() && self.motion.has_coasted(self.clock.now_secs());
+        let has_slid =
+            attempt.evidence.hold() == Hold::None && self.motion.has_coasted(self.clock.now_secs());
         let is_known = is_a_find || matches!(self.footing, Footing::Firm);
         if own == Verdict::Lost || has_slid || !is_known {
             self.stumble();
@@ -560,7 +571,7 @@ impl Tracker {
         let needs_another = is_first && (attempt.is_doubtful || is_relocalized);
         self.footing = if needs_another {
             Footing::Found {
-                motion_before: self.motion.clone(),
+                motion_before: Box::new(self.motion.clone()),
                 home_before: self.home,
             }
         } else {
@@ -582,7 +593,7 @@ impl Tracker {
                 motion_before,
                 home_before,
             } => {
-                self.motion = motion_before.clone();
+                self.motion = (**motion_before).clone();
                 self.home = *home_before;
             }
         }
@@ -595,7 +606,8 @@ impl Tracker {
         let color_from_depth = frame.depth_sensor.color_from_depth(&located.velocity);
         let world_from_depth = located.world_from_camera * color_from_depth;
         let now_secs = self.clock.now_secs();
-        (self.motion).observe(world_from_depth, now_secs, attempt.is_held());
+        let device = frame.device_pose;
+        (self.motion).observe(world_from_depth, now_secs, attempt.uncertainty_m, device);
     }
 
     /// What a trusted frame gives the mapper: a keyframe, or a frame to align.

@@ -47,6 +47,30 @@ pub enum Verdict {
     Tracked,
 }
 
+/// How firmly the camera is held.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Hold {
+    /// In some direction nothing says where it is.
+    None,
+    /// The next frame may not be held any more.
+    Slipping,
+    /// In every direction.
+    Firm,
+}
+
+impl Hold {
+    /// Of a position with a standard deviation, along its worst direction, metres.
+    pub fn of(uncertainty_m: f64) -> Self {
+        if uncertainty_m <= SLIPPING_M {
+            Self::Firm
+        } else if uncertainty_m <= MAX_UNCERTAINTY_M {
+            Self::Slipping
+        } else {
+            Self::None
+        }
+    }
+}
+
 /// What speaks for a pose.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Evidence {
@@ -58,7 +82,8 @@ pub struct Evidence {
     pub inlier_share: f64,
     /// Root mean square of their distances along the normals, metres.
     pub residual_m: f64,
-    /// Standard deviation of the position, along its worst direction, by depth and colour alone, metres.
+    /// Standard deviation of the position, along its worst direction, by depth, colour and a device that is
+    /// believed, metres.
     pub uncertainty_m: f64,
     /// How the frame agrees with a keyframe, if there is one to compare with.
     pub agreement: Option<Agreement>,
@@ -78,19 +103,19 @@ impl Evidence {
             _ if !registered => Verdict::Lost,
             Some(support) if support < MIN_SUPPORT => Verdict::Lost,
             Some(support) if support < GOOD_SUPPORT => Verdict::Weak,
-            _ if !self.is_held() => Verdict::Weak,
+            _ if self.hold() == Hold::None => Verdict::Weak,
             _ => Verdict::Tracked,
         }
     }
 
-    /// Whether depth and colour say where the camera is, in every direction.
-    pub fn is_held(&self) -> bool {
-        self.uncertainty_m <= MAX_UNCERTAINTY_M
+    /// How firmly the camera is held.
+    pub fn hold(&self) -> Hold {
+        Hold::of(self.uncertainty_m)
     }
 
-    /// Whether they are about to lose hold of it, so that what it now sees should be remembered.
+    /// Whether hold of the camera is about to be lost, so that what it now sees should be remembered.
     pub fn is_slipping(&self) -> bool {
-        self.uncertainty_m > SLIPPING_M
+        self.hold() < Hold::Firm
     }
 
     /// Whether it is worth looking for a better pose.

@@ -152,11 +152,11 @@ fn a_newer_version_and_a_folder_without_a_map_are_refused() {
     let newer = format!("{content}\n{:08x}\n", crc32(content.as_bytes()));
     fs::write(&path, newer).unwrap();
     let error = MapFolder::open(folder.path()).unwrap_err();
-    assert!(
-        error
-            .to_string()
-            .ends_with("is of version 4; this program reads version 3")
+    let message = format!(
+        "is of version {}; this program reads version {VERSION}",
+        VERSION + 1
     );
+    assert!(error.to_string().ends_with(&message));
     fs::remove_file(path).unwrap();
     let error = MapFolder::open(folder.path()).unwrap_err();
     assert!(matches!(error, RunError::NoMap { .. }) && error.is_usage());

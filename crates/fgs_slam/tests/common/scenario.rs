@@ -39,10 +39,18 @@ impl Run {
     }
 
     pub fn through(scenario: Scenario) -> Self {
+        Self::with_device(scenario, |_| None)
+    }
+
+    /// With a device that says of each frame where it believes itself to be.
+    pub fn with_device(scenario: Scenario, device: impl Fn(&Se3) -> Option<Se3>) -> Self {
         let camera = scenario.camera();
         let mut slam = Slam::new(camera, &config(), Execution::Lockstep, model()).unwrap();
         let events = slam.subscribe(2 * scenario.len());
-        let results = scenario.frames().map(|frame| slam.push(frame).unwrap());
+        let results = scenario.frames().map(|mut frame| {
+            frame.device_pose = device(&scenario.world_from_camera(frame.index.0));
+            slam.push(frame).unwrap()
+        });
         let results = results.collect();
         let num_gaussians = sizes(&events);
         Self {
