@@ -35,7 +35,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     if let Some(max) = arguments.next() {
         config.mapping.max_gaussians = max.parse()?;
     }
-    let camera = kinect_camera(160, 120)?;
+    let camera = kinect_camera(320, 240)?;
     // A walk round the rooms ends half a room beyond its beginning.
     let len = rooms * FRAMES_PER_LOOP + FRAMES_PER_LOOP / 2 + 1;
     let sequence = Sequence::around_rooms(3, rooms, len, camera, SensorModel::kinect());
