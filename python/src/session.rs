@@ -121,6 +121,9 @@ impl Slam {
     ///     depth_m: depth along z, registered to the colour image, metres, float32 (H, W); 0 or NaN where nothing was
     ///         measured. float64 is taken too.
     ///     timestamp: when the images were taken, seconds; later than the frame before.
+    ///     device_pose: where the recording device (ARKit, say) believes its camera was, ``world_from_camera`` in a
+    ///         world of its own: a :class:`Pose` or a matrix of shape (4, 4), with the camera looking along +z, x to
+    ///         the right and y down. Its motion from frame to frame helps once it has proved right.
     ///
     /// Returns:
     ///     What became of it. Poses may be corrected later: those of :meth:`finish` are final.
@@ -129,19 +132,23 @@ impl Slam {
     ///     ShapeError: an array has another shape or type.
     ///     FrameError: the images are not of the camera's size, a depth is negative, or the time is not later.
     ///     SessionError: the session is finished or has failed.
+    #[pyo3(signature = (color, depth_m, timestamp, device_pose = None))]
     fn push(
         &self,
         py: Python<'_>,
         color: &Bound<'_, PyAny>,
         depth_m: &Bound<'_, PyAny>,
         timestamp: f64,
+        device_pose: Option<&Bound<'_, PyAny>>,
     ) -> PyResult<Pose> {
+        let device_pose = device_pose.map(pose_of).transpose()?;
         let (color, depth_m) = (arrays::color_image(color)?, arrays::depth_image(depth_m)?);
         let camera = self.camera;
         self.with(py, |session| {
             let index = FrameIndex(session.frames);
             let frame = RgbdFrame::new(index, timestamp, color, depth_m, camera);
-            let frame = frame.map_err(|error| FrameError::new_err(error.to_string()))?;
+            let mut frame = frame.map_err(|error| FrameError::new_err(error.to_string()))?;
+            frame.device_pose = device_pose;
             if timestamp <= session.last_secs {
                 let last = session.last_secs;
                 return Err(FrameError::new_err(format!(

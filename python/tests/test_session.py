@@ -174,3 +174,28 @@ def test_choices_are_checked(recording: fgs_slam.Recording) -> None:
         fgs_slam.Slam(fgs_slam.Config(), recording.camera, mode="fast")  # type: ignore[arg-type]
     with pytest.raises(fgs_slam.SettingError, match="backend: "):
         fgs_slam.Slam(fgs_slam.Config(), recording.camera, backend="abacus")  # type: ignore[arg-type]
+
+
+def test_a_device_that_proves_right_starts_tracking(tmp_path: Path) -> None:
+    fgs_slam.synth(tmp_path / "room", frames=24, size=(160, 120))
+    recording = fgs_slam.Recording(tmp_path / "room")
+    truth = recording.ground_truth
+    assert truth is not None
+
+    def poses(device: bool) -> list[np.ndarray]:
+        slam = fgs_slam.Slam(fgs_slam.Config(), recording.camera, backend="cpu")
+        for frame, pose in zip(recording, truth.poses, strict=True):
+            slam.push(*frame, device_pose=pose if device else None)
+        return list(slam.finish().trajectory.poses)
+
+    alone, helped = poses(False), poses(True)
+    # The first frames judge the device.
+    assert all(np.array_equal(a, b) for a, b in zip(alone[:14], helped, strict=False))
+    assert not np.array_equal(alone[-1], helped[-1])
+    assert np.allclose(alone[-1], helped[-1], atol=0.01)
+
+
+def test_a_device_pose_is_a_rigid_motion(slam: fgs_slam.Slam, recording: fgs_slam.Recording) -> None:
+    frame = next(iter(recording))
+    with pytest.raises(fgs_slam.ShapeError):
+        slam.push(*frame, device_pose=np.eye(3))
