@@ -622,7 +622,7 @@ impl Slam {
         self.move_keyframes(&correction.moves)
     }
 
-    fn next_index(&self) -> FrameIndex {
+    pub(crate) fn next_index(&self) -> FrameIndex {
         let next = |frame: &RecordedFrame| FrameIndex(frame.result.index.0 + 1);
         self.frames.last().map_or(self.first, next)
     }
