@@ -212,3 +212,33 @@ impl CameraSource for Ros2Camera {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_is_missing_is_named() {
+        let names = ["/c/color", "/c/depth", "/c/info"];
+        let published = |topic: &str, type_name: &str| Published {
+            topic: topic.into(),
+            type_name: type_name.into(),
+            is_reliable: true,
+        };
+        let others = [
+            published("/d/rgb", "sensor_msgs::msg::dds_::Image_"),
+            published("/c/color", "sensor_msgs::msg::dds_::CompressedImage_"),
+            published("/rosout", "rcl_interfaces::msg::dds_::Log_"),
+        ];
+        let message = not_published(&names, &others).to_string();
+        let expected = "nobody publishes /c/depth, /c/info (topics with images: /c/color, /d/rgb)";
+        assert_eq!(message, expected);
+        let message = silence(&names, [true, false, true]);
+        assert_eq!(message, "no message came of /c/depth");
+        let message = silence(&names, [true; 3]);
+        assert_eq!(
+            message,
+            "no image of /c/color was taken when one of /c/depth was"
+        );
+    }
+}

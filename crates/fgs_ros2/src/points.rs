@@ -65,11 +65,10 @@ mod tests {
             map.push(&Gaussian {
                 mean: [i as f32, 2.0, 3.0],
                 quat: [1.0, 0.0, 0.0, 0.0],
-                log_scales: [-4.0; 3],
-                // Every third one cannot be seen.
-                opacity_logit: if i % 3 == 2 { -5.0 } else { 5.0 },
-                sh: [0.0, 10.0, -10.0],
-                inferred: false,
+                scales: [0.02; 3],
+                // Every third one can hardly be seen.
+                opacity: if i % 3 == 2 { 0.01 } else { 0.9 },
+                rgb: [0.5, 1.0, 0.0],
             });
         }
         map

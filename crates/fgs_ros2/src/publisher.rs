@@ -48,9 +48,9 @@ const FAREWELL: Duration = Duration::from_secs(5);
 
 /// Publishes a run.
 pub struct Ros2Publisher {
-    /// Until the run begins.
+    /// Before the run and after it.
     outputs: Option<Outputs>,
-    /// From then on.
+    /// Has them meanwhile.
     thread: Option<JoinHandle<Outputs>>,
 }
 
@@ -136,6 +136,8 @@ impl RunObserver for Ros2Publisher {
             && let Ok(outputs) = thread.join()
         {
             outputs.end(map);
+            // The map is there for those who come later, as long as this is.
+            self.outputs = Some(outputs);
         }
     }
 }
@@ -155,12 +157,14 @@ impl Outputs {
                     }
                     true
                 }
+                // The first keyframe's gaussians take a moment.
+                Ok(SlamEvent::Snapshot(gaussians)) if gaussians.is_empty() => false,
                 Ok(SlamEvent::Snapshot(gaussians)) => {
-                    if points.is_due() {
+                    if self.wants(&points, POINTS) {
                         self.publish_points(&gaussians);
                         points.done();
                     }
-                    if map.is_due() {
+                    if self.wants(&map, MAP) {
                         self.publish_map(&gaussians);
                         map.done();
                     }
@@ -181,14 +185,16 @@ impl Outputs {
                     self.publish_path();
                     path.done();
                 }
-                // A map is copied only for who reads it.
-                if points.is_due() && self.domain.is_read(POINTS)
-                    || map.is_due() && self.domain.is_read(MAP)
-                {
+                if self.wants(&points, POINTS) || self.wants(&map, MAP) {
                     events.request_snapshot();
                 }
             }
         }
+    }
+
+    /// A map is copied only for who reads it.
+    fn wants(&self, due: &Due, topic: &str) -> bool {
+        due.is_due() && self.domain.is_read(topic)
     }
 
     /// Publishes a frame's pose, if it has one; true if it has become a keyframe.
@@ -256,7 +262,7 @@ impl Outputs {
     }
 
     /// Publishes what there is at the end, and waits for those who read it.
-    fn end(self, map: &Gaussians) {
+    fn end(&self, map: &Gaussians) {
         self.publish_path();
         self.publish_points(map);
         self.publish_map(map);

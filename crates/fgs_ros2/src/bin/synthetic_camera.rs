@@ -2,7 +2,7 @@
 //! without a camera, and for tests.
 //!
 //! Usage: `synthetic_camera WIDTH HEIGHT RATE FRAMES`. It waits for who reads the topics, and then publishes
-//! so many frames, RATE a second; stamps are those of 30 frames a second.
+//! so many frames, RATE a second. Stamps are those of 30 frames a second, the first of them a whole second.
 
 use std::env;
 use std::error::Error;
@@ -17,7 +17,7 @@ const COLOR: &str = "/camera/color/image_raw";
 const DEPTH: &str = "/camera/aligned_depth_to_color/image_raw";
 const INFO: &str = "/camera/color/camera_info";
 
-/// The room.
+/// The room and the way through it.
 const SEED: u64 = 1;
 
 fn main() -> Result<(), Box<dyn Error>> {
@@ -47,7 +47,7 @@ fn main() -> Result<(), Box<dyn Error>> {
         let start = Instant::now();
         let frame = sequence.frame(index);
         let header = Header {
-            stamp: Stamp::of(begin.as_secs_f64() + frame.timestamp_secs),
+            stamp: Stamp::of(begin.as_secs() as f64 + frame.timestamp_secs),
             frame_id: "camera_color_optical_frame".into(),
         };
         infos.publish(info(&camera, header.clone()))?;
