@@ -6,6 +6,8 @@
 //! Invariant: what comes over the network is untrusted. Messages are read by `fgs_recordings`, as those of
 //! bags are; a damaged one is a damaged frame.
 
+#![cfg(feature = "dds")]
+
 mod camera;
 mod error;
 mod messages;

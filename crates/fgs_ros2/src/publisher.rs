@@ -267,7 +267,7 @@ impl Outputs {
         self.publish_points(map);
         self.publish_map(map);
         // If it has not come by then, nobody takes it.
-        let _ = self.map.wait_for_acknowledgments(FAREWELL.into());
+        let _ = self.map.wait_for_acknowledgments(FAREWELL);
     }
 
     fn header(&self, secs: f64) -> Header {
