@@ -15,10 +15,12 @@ pub struct OpenCamera {
 }
 
 /// Kinds, which are the features that they are built with.
-const KINDS: [&str; 1] = ["ros2"];
+const KINDS: [&str; 2] = ["realsense", "ros2"];
 
 /// Those that are built in.
 const BUILT: &[&str] = &[
+    #[cfg(feature = "realsense")]
+    "realsense",
     #[cfg(feature = "ros2")]
     "ros2",
 ];
@@ -34,6 +36,11 @@ pub fn open(text: &str, console: Console) -> anyhow::Result<OpenCamera> {
     }
     console.say(format!("waiting for {text}"));
     match kind {
+        #[cfg(feature = "realsense")]
+        "realsense" => Ok(OpenCamera {
+            source: Box::new(fgs_realsense::open(name)?),
+            publisher: None,
+        }),
         #[cfg(feature = "ros2")]
         "ros2" => {
             let topics = name.parse::<fgs_ros2::Topics>();

@@ -261,3 +261,127 @@ fn lens(
     };
     Ok((camera, bending))
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const SIZE: [u32; 2] = [64, 48];
+
+    /// Writes a message: numbers at multiples of their size, counted from behind the first four bytes.
+    struct Cdr(Vec<u8>);
+
+    impl Cdr {
+        fn new(frame: &str) -> Self {
+            Self(vec![0, 1, 0, 0]).u32(7).u32(500_000_000).string(frame)
+        }
+
+        fn number<const N: usize>(mut self, bytes: [u8; N]) -> Self {
+            self.0.resize(4 + (self.0.len() - 4).next_multiple_of(N), 0);
+            self.0.extend(bytes);
+            self
+        }
+
+        fn u32(self, value: u32) -> Self {
+            self.number(value.to_le_bytes())
+        }
+
+        fn f64s(self, values: &[f64]) -> Self {
+            let write = |cdr: Self, value: &f64| cdr.number(value.to_le_bytes());
+            values.iter().fold(self, write)
+        }
+
+        fn bytes(self, bytes: &[u8]) -> Self {
+            let mut cdr = self.u32(bytes.len() as u32);
+            cdr.0.extend(bytes);
+            cdr
+        }
+
+        fn string(self, text: &str) -> Self {
+            self.bytes(&[text.as_bytes(), &[0]].concat())
+        }
+    }
+
+    fn image(frame: &str, encoding: &str, [width, height]: [u32; 2], step: u32) -> Vec<u8> {
+        let data = vec![100; (step * height) as usize];
+        let cdr = Cdr::new(frame).u32(height).u32(width).string(encoding);
+        cdr.number([0]).u32(step).bytes(&data).0
+    }
+
+    fn info([width, height]: [u32; 2]) -> Vec<u8> {
+        let cdr = Cdr::new("lens").u32(height).u32(width).string("plumb_bob");
+        let k = [60.0, 0.0, 31.5, 0.0, 60.0, 23.5, 0.0, 0.0, 1.0];
+        cdr.u32(5).f64s(&[0.0; 5]).f64s(&k).f64s(&[0.0; 21]).0
+    }
+
+    fn color() -> Vec<u8> {
+        image("lens", "rgb8", SIZE, 3 * SIZE[0])
+    }
+
+    fn depth() -> Vec<u8> {
+        image("lens", "16UC1", SIZE, 2 * SIZE[0])
+    }
+
+    fn open(info: &[u8], color: &[u8], depth: &[u8]) -> Result<RosCamera, String> {
+        let path = Path::new("ROS 2");
+        let topic = |name: &str, message: &[u8]| ImageTopic::of(path, name, false, message);
+        topic("/color", color)
+            .and_then(|color| RosCamera::open(path, info, color, topic("/depth", depth)?))
+            .map_err(|error| error.to_string())
+    }
+
+    #[test]
+    fn messages_become_images() {
+        let camera = open(&info(SIZE), &color(), &depth()).unwrap();
+        assert_eq!(camera.camera_file().camera().intrinsics.fx, 60.0);
+        assert_eq!(stamp_secs(&color()), Some(7.5));
+        let images = camera.images(Path::new("ROS 2"), &color(), &depth());
+        let images = images.unwrap_or_else(|error| panic!("{error}"));
+        assert_eq!(images.color.at(63, 47), [100; 3]);
+        assert!((images.depth_m.at(63, 47) - 0.001 * f32::from(0x6464_u16)).abs() < 1e-6);
+    }
+
+    #[test]
+    fn what_does_not_fit_together_is_refused() {
+        let elsewhere = image("other", "16UC1", SIZE, 2 * SIZE[0]);
+        for (message, expected) in [
+            (open(&info([32, 24]), &color(), &depth()), "32x24 pixels"),
+            (open(&info(SIZE), &depth(), &color()), "must have colour"),
+            (open(&info(SIZE), &color(), &elsewhere), "not registered"),
+            (open(&[0, 1], &color(), &depth()), "damaged"),
+            (
+                open(&info(SIZE), &image("lens", "yuv422", SIZE, 128), &depth()),
+                "not understood",
+            ),
+        ] {
+            let message = message.err().unwrap();
+            assert!(message.contains(expected), "{message}");
+        }
+        let camera = open(&info(SIZE), &color(), &depth()).unwrap();
+        let small = image("lens", "rgb8", [32, 24], 96);
+        let error = camera.images(Path::new("ROS 2"), &small, &depth()).err();
+        assert!(error.unwrap().to_string().contains("32x24"));
+    }
+
+    /// Each message cut off anywhere, and with each byte of its head changed.
+    #[test]
+    fn no_message_is_too_damaged() {
+        let messages = [info(SIZE), color(), depth()];
+        let camera = open(&messages[0], &messages[1], &messages[2]).unwrap();
+        for damaged in 0..3 {
+            let whole = &messages[damaged];
+            for at in 0..200 {
+                let mut changed = whole.clone();
+                changed[at] ^= 0xff;
+                for message in [whole[..at].to_vec(), changed] {
+                    let mut messages = messages.clone();
+                    messages[damaged] = message;
+                    let [info, color, depth] = &messages;
+                    let _ = open(info, color, depth);
+                    let _ = camera.images(Path::new("ROS 2"), color, depth);
+                    let _ = stamp_secs(&messages[damaged]);
+                }
+            }
+        }
+    }
+}
