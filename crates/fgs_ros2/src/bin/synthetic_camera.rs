@@ -1,8 +1,8 @@
 //! Publishes a synthetic room as a RealSense camera's topics: to try `fgs run --camera-source ros2:/camera`
 //! without a camera, and for tests.
 //!
-//! Usage: `synthetic_camera WIDTH HEIGHT RATE FRAMES`. It waits for who reads the topics, and then publishes
-//! so many frames, RATE a second. Stamps are those of 30 frames a second, the first of them a whole second.
+//! Usage: `synthetic_camera WIDTH HEIGHT RATE FRAMES`. It renders so many frames, which takes longer than
+//! showing them, waits for who reads the topics, and publishes the frames, RATE a second. Stamps are those of 30 frames a second, the first of them a whole second.
 
 use std::env;
 use std::error::Error;
@@ -30,6 +30,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     };
     let camera = kinect_camera(width, height)?;
     let sequence = Sequence::new(SEED, frames, camera, SensorModel::exact());
+    let frames: Vec<RgbdFrame> = sequence.frames().collect();
     let domain = Domain::of_environment()?;
     let mut node = Ros2Node::new(&domain, "synthetic_camera")?;
     let color = node.publisher(COLOR, ("sensor_msgs", "Image"))?;
@@ -43,16 +44,15 @@ fn main() -> Result<(), Box<dyn Error>> {
     }
     let begin = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH)?;
     let period = Duration::from_secs_f64(1.0 / rate as f64);
-    for index in 0..frames {
+    for frame in &frames {
         let start = Instant::now();
-        let frame = sequence.frame(index);
         let header = Header {
             stamp: Stamp::of(begin.as_secs() as f64 + frame.timestamp_secs),
             frame_id: "camera_color_optical_frame".into(),
         };
         infos.publish(info(&camera, header.clone()))?;
-        color.publish(color_image(&frame, header.clone()))?;
-        depth.publish(depth_image(&frame, header))?;
+        color.publish(color_image(frame, header.clone()))?;
+        depth.publish(depth_image(frame, header))?;
         sleep(period.saturating_sub(start.elapsed()));
     }
     // For those who have not taken the last ones.
