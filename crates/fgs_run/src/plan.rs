@@ -29,6 +29,10 @@ use crate::settings::{COMMIT, RunSettings, Settings};
 /// Where results go unless a folder is given.
 const RUNS: &str = "runs";
 
+/// Of a live camera, resumed.
+const NOT_RESUMED: RunError =
+    RunError::NotLive("no run with them is resumed, but another one extends its map");
+
 /// What to run. Only `dataset` is needed; what is `None` comes from the settings, or else has the
 /// default given here.
 #[derive(Clone, Debug, Default)]
@@ -124,6 +128,9 @@ impl Plan {
     pub fn resolve(options: &RunOptions) -> Result<(Self, Model), RunError> {
         let (known_map, mut settings) = known_map_and_settings(options)?;
         let resumed = resumed(&known_map);
+        if resumed.is_some() && settings.run.camera_source.is_some() {
+            return Err(NOT_RESUMED);
+        }
         let dataset_path = match (&settings.run.dataset, resumed) {
             (Some(own), Some(map)) if options.dataset == Path::new("") => {
                 // The run may have left no results yet.
@@ -161,9 +168,7 @@ impl Plan {
     ) -> Result<(Self, Model), RunError> {
         let (known_map, mut settings) = known_map_and_settings(options)?;
         if resumed(&known_map).is_some() {
-            return Err(RunError::NotLive(
-                "such a run is not resumed, but extends a map",
-            ));
+            return Err(NOT_RESUMED);
         }
         if options.evaluate {
             return Err(RunError::NotLive(
@@ -187,7 +192,6 @@ impl Plan {
         };
         let input = LiveCamera::new(name, source, &camera).map_err(RunError::Camera)?;
         settings.camera = Some(camera);
-        settings.run.camera_source = Some(name.into());
         let input = Input::Camera(input);
         let mode = Execution::Realtime;
         Self::prepare(
@@ -235,7 +239,10 @@ impl Plan {
             command: options.command.clone(),
             dataset: dataset_frames.map(|_| dataset_from_folder.clone()),
             dataset_frames,
-            camera_source: settings.run.camera_source,
+            camera_source: match &input {
+                Input::Recording(_) => None,
+                Input::Camera(_) => Some(dataset_path.to_string_lossy().into_owned()),
+            },
             mode: Some(execution),
             backend: Some(model.backend),
             frames: match dataset_frames {
@@ -274,8 +281,8 @@ impl Plan {
     }
 
     /// Measures when the sensors take their images as far as the camera file does not say, which takes
-    /// seconds, and goes by it from now on; not of a live camera. The settings record it, so that a run that is repeated,
-    /// resumed or scored again has the same times. `progress` is called after every frame read; if it
+    /// seconds, and goes by it from now on; not of a live camera. The settings record it, so that a run
+    /// that is repeated, resumed or scored again has the same times. `progress` is called after every frame read; if it
     /// returns false, nothing is changed.
     pub fn measure_sensor_times(&mut self, progress: impl FnMut() -> bool) {
         let Input::Recording(dataset) = &mut self.input else {
@@ -363,7 +370,6 @@ impl Plan {
         write_errors.note(result.save_trajectory(&results));
         if let Some(dataset) = self.dataset() {
             write_errors.note(reference::save(result, dataset, &results));
-            write_errors.note(pictures::write_samples(result, dataset, &results));
         }
         write_errors.note(self.save_settings(&results));
         write_errors.note(result.save_rows(&results));
@@ -371,6 +377,9 @@ impl Plan {
         write_errors.note(result.save_refined_map(&results));
         write_errors.note(result.save_further(&results));
         write_errors.note(result.metrics.write(&results));
+        if let Some(dataset) = self.dataset() {
+            write_errors.note(pictures::write_samples(result, dataset, &results));
+        }
         write_errors.note(write_report(&results));
         write_errors.note(self.folder.check());
         let Some(error) = write_errors.0 else {

@@ -2,7 +2,8 @@
 //! without a camera, and for tests.
 //!
 //! Usage: `synthetic_camera WIDTH HEIGHT RATE FRAMES`. It renders so many frames, which takes longer than
-//! showing them, waits for who reads the topics, and publishes the frames, RATE a second. Stamps are those of 30 frames a second, the first of them a whole second.
+//! showing them, waits for who reads the topics, and publishes the frames, RATE a second. Stamps are those
+//! of 30 frames a second, the first of them a whole second.
 
 use std::env;
 use std::error::Error;

@@ -153,6 +153,12 @@ fn a_live_camera_extends_a_live_cameras_map() {
         ..options(folder.path())
     };
     run(&first, room(4)).unwrap();
+    let resumed = RunOptions {
+        known_map: Some(KnownMap::Resume(folder.path().join("out"))),
+        ..RunOptions::default()
+    };
+    let error = Plan::resolve(&resumed).err().unwrap().to_string();
+    assert!(error.contains("no run with them is resumed"), "{error}");
     let second = RunOptions {
         known_map: Some(KnownMap::LocalizeOnly(folder.path().join("out"))),
         out: Some(folder.path().join("again")),
