@@ -93,8 +93,11 @@ pub fn run(
 
 fn run_to_end(options: &RunOptions, desk: &Desk<'_>) -> PyResult<Run> {
     let (mut plan, model) = Plan::resolve(options).map_err(IntoPython::into_python)?;
-    if !plan.dataset.camera_file().sensor_times().are_known() {
-        let (mut done, total) = (0, frames_to_measure(&plan.dataset));
+    let unknown = plan
+        .dataset()
+        .filter(|dataset| !dataset.camera_file().sensor_times().are_known());
+    if let Some(dataset) = unknown {
+        let (mut done, total) = (0, frames_to_measure(dataset));
         plan.measure_sensor_times(|| {
             done += 1;
             desk.report(("sensor times", done, total));

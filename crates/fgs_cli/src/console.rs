@@ -51,13 +51,23 @@ impl Console {
         }
     }
 
-    /// A progress bar for people at a terminal; otherwise a hidden one.
-    pub fn progress(self, steps: usize, what: &str) -> ProgressBar {
+    /// A progress bar for people at a terminal; otherwise a hidden one. Without a number of steps it only
+    /// counts.
+    pub fn progress(self, steps: impl Into<Option<usize>>, what: &str) -> ProgressBar {
         if self == Self::Machines {
             return ProgressBar::hidden();
         }
-        let bar = ProgressBar::new(steps as u64).with_prefix(what.to_owned());
-        let template = "{prefix} {wide_bar} {pos}/{len}  {per_sec}  {msg}  {eta} left";
+        let (bar, template) = match steps.into() {
+            Some(steps) => (
+                ProgressBar::new(steps as u64),
+                "{prefix} {wide_bar} {pos}/{len}  {per_sec}  {msg}  {eta} left",
+            ),
+            None => (
+                ProgressBar::no_length(),
+                "{prefix} {spinner} {pos}  {per_sec}  {msg}",
+            ),
+        };
+        let bar = bar.with_prefix(what.to_owned());
         if let Ok(style) = ProgressStyle::with_template(template) {
             bar.set_style(style.with_key(
                 "per_sec",

@@ -77,7 +77,7 @@ pub fn run(args: &DemoArgs) -> anyhow::Result<u8> {
     };
     let (plan, model) = Plan::resolve(&options).map_err(explain)?;
     let live = listener.map(|listener| (listener, "demo"));
-    let exit_code = execute(&plan, model, live, console, &stop)?;
+    let exit_code = execute(&plan, model, live, None, console, &stop)?;
     let out = plan.folder.path().display();
     console.say(format!(
         "

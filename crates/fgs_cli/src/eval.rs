@@ -57,7 +57,7 @@ pub fn run(args: &EvalArgs) -> anyhow::Result<u8> {
     warn_of_poses(finished.dataset());
     args.threads.apply()?;
     let stop = interrupt::stop_flag()?;
-    let mut progress = Progress::new(0, console);
+    let mut progress = Progress::new(Some(0), console);
     let result = finished.rescore(&mut progress, &stop);
     drop(progress);
     let Some(result) = result.map_err(explain)? else {

@@ -49,7 +49,7 @@ pub fn start(
     console: Console,
     stop: &Arc<AtomicBool>,
 ) -> anyhow::Result<LiveView> {
-    let (camera, frames) = (plan.dataset.camera(), plan.frames_left().len());
+    let (camera, frames) = (plan.input.camera(), plan.num_frames_left().unwrap_or(0));
     let view = LiveView::start(listener, title, camera, frames, Arc::clone(stop))
         .context("--live: cannot serve a page")?;
     let url = view.server().url();
@@ -58,12 +58,14 @@ pub fn start(
     Ok(view)
 }
 
-/// All who look on: at the terminal, and in a browser.
+/// All who look on: at the terminal, in a browser, and at the camera's end.
 pub struct Watchers {
     /// The terminal.
     pub progress: Progress,
     /// The browser, if there is one.
     pub live: Option<LiveView>,
+    /// The program that the camera's images come from, if it wants the results.
+    pub publisher: Option<Box<dyn RunObserver>>,
 }
 
 impl Watchers {
@@ -89,10 +91,16 @@ impl RunObserver for Watchers {
             complain(format_args!("warning: the live page stays empty: {error}"));
             self.live = None;
         }
+        if let Some(publisher) = &mut self.publisher {
+            publisher.begin(session);
+        }
     }
 
     fn on(&mut self, event: &RunEvent<'_>) {
         self.progress.on(event);
+        if let Some(publisher) = &mut self.publisher {
+            publisher.on(event);
+        }
         if let (Some(view), RunEvent::Scored { done, total }) = (&self.live, event) {
             view.phase("scoring", *done, *total);
         }

@@ -2,6 +2,7 @@
 //! only; the work is done by the libraries. Each subcommand has a file of its own.
 
 mod bench;
+mod camera;
 mod choices;
 mod compare;
 mod console;

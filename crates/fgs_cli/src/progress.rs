@@ -23,8 +23,8 @@ pub struct Progress {
 }
 
 impl Progress {
-    /// Of a run over so many frames.
-    pub fn new(frames: usize, console: Console) -> Self {
+    /// Of a run over so many frames, if their number is known.
+    pub fn new(frames: Option<usize>, console: Console) -> Self {
         Self {
             console,
             bar: console.progress(frames, FRAMES),

@@ -1,15 +1,16 @@
 //! `fgs run`: turns the arguments into options of a run, executes it and reports.
 
+use std::ops::Range;
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use anyhow::bail;
 use clap::Args;
-use fgs_data::Dataset;
+use fgs_data::{Dataset, SensorTimes};
 use fgs_run::{
-    Backend, FrameRange, KnownMap, Model, Plan, RunOptions, RunResult, pipeline_cache_folder,
-    recording_name,
+    Backend, FrameRange, KnownMap, Model, Plan, RunObserver, RunOptions, RunResult,
+    pipeline_cache_folder, recording_name,
 };
 use fgs_sensors::frames_to_measure;
 use fgs_slam::{Execution, FrameStatus, Holdout};
@@ -21,7 +22,7 @@ use crate::failure::{EXIT_DONE, EXIT_INTERRUPTED, explain};
 use crate::live::{self, Live, Watchers};
 use crate::progress::Progress;
 use crate::threads::Threads;
-use crate::{choices, interrupt};
+use crate::{camera, choices, interrupt};
 
 /// Track the camera and build the map
 ///
@@ -39,6 +40,7 @@ Examples:
   fgs run recordings/desk --live                      watch it in a browser
   fgs run recordings/desk --checkpoint-every 60       can go on after a power cut:
   fgs run --resume runs/desk
+  fgs run --camera-source ros2:/camera --live         a camera at work
   fgs run recordings/desk-again --map runs/desk       goes on in a known place, once it is recognised
 
 The recording is that of a phone, a robot or another program (Record3D, Stray Scanner, Polycam, ROS 2 bags
@@ -80,12 +82,23 @@ Live page: --live serves a page at http://127.0.0.1:7070/ with what the run sees
 machine: `ssh -L 7070:localhost:7070 HOST`, or `--live 0.0.0.0:7070` and the address that is printed, with
 its token. Whoever has the address can stop the run.
 
+Live cameras: --camera-source KIND:NAME tracks a camera at work, in real time; frames that come too fast are
+dropped. --frames ..N ends after N frames. Which kinds there are depends on how fgs was built
+(docs/live-cameras.md).
+
 Exit code: 0 done, 1 failed, 2 usage error, 130 stopped by Ctrl-C (the results so far are saved; a
 second Ctrl-C skips that). If a graphics device fails, the results so far are saved too.")]
 pub struct RunArgs {
     /// The recording: a folder or a file
-    #[arg(required_unless_present = "resume")]
+    #[arg(required_unless_present_any = ["resume", "camera_source"])]
     dataset: Option<PathBuf>,
+    /// A camera at work in place of a recording, such as ros2:/camera; Ctrl-C ends the run
+    #[arg(
+        long,
+        value_name = "KIND:NAME",
+        conflicts_with_all = ["dataset", "resume", "mode", "eval", "eval_holdout"]
+    )]
+    camera_source: Option<String>,
     /// Write the map, in a form that can be gone on with, every so many seconds and at the end
     #[arg(long, value_name = "SECS", conflicts_with = "localize_only")]
     checkpoint_every: Option<u64>,
@@ -175,33 +188,47 @@ pub fn run(args: &RunArgs) -> anyhow::Result<u8> {
         command: Some(command_line()),
     };
     let listener = args.live.listen()?;
-    let (mut plan, model) = Plan::resolve(&options).map_err(explain)?;
+    let console = Console::new(args.json);
+    let mut publisher = None;
+    let (mut plan, model) = match &args.camera_source {
+        None => Plan::resolve(&options),
+        Some(name) => {
+            let camera = camera::open(name, console)?;
+            publisher = camera.publisher;
+            Plan::resolve_live(&options, name, camera.source)
+        }
+    }
+    .map_err(explain)?;
     args.threads.apply()?;
     let stop = interrupt::stop_flag()?;
-    let console = Console::new(args.json);
     measure_sensor_times(&mut plan, console, &stop);
     let name = recording_name(&plan.dataset_path);
     let name = name.to_string_lossy();
     let live = listener.map(|listener| (listener, &*name));
-    execute(&plan, model, live, console, &stop)
+    execute(&plan, model, live, publisher, console, &stop)
 }
 
 /// Measures when the sensors take their images, if the camera file leaves it open, and reports it.
 fn measure_sensor_times(plan: &mut Plan, console: Console, stop: &AtomicBool) {
-    if plan.dataset.camera_file().sensor_times().are_known() {
+    let Some(dataset) = plan.dataset() else {
+        return;
+    };
+    if dataset.camera_file().sensor_times().are_known() {
         return;
     }
-    let bar = console.progress(frames_to_measure(&plan.dataset), "measuring sensor times");
+    let bar = console.progress(frames_to_measure(dataset), "measuring sensor times");
     plan.measure_sensor_times(|| {
         bar.inc(1);
         !stop.load(Ordering::Relaxed)
     });
     bar.finish_and_clear();
-    let times = plan.dataset.camera_file().sensor_times();
-    if !times.are_known() {
+    let times = plan
+        .dataset()
+        .map(|dataset| dataset.camera_file().sensor_times());
+    let Some(times) = times.filter(SensorTimes::are_known) else {
         // Stopped before anything was measured.
         return;
-    }
+    };
     let [delay, color, depth] = [
         times.depth_delay_secs,
         times.color_readout_secs,
@@ -231,8 +258,8 @@ pub fn command_line() -> String {
     words.collect::<Vec<_>>().join(" ")
 }
 
-/// Does what was planned and reports on it, on a live page of some title too if browsers are listened for;
-/// returns the exit code.
+/// Does what was planned and reports on it, on a live page of some title too if browsers are listened for,
+/// and to a publisher if there is one; returns the exit code.
 ///
 /// # Errors
 /// If the page cannot be served, no frame can be read, the mapper fails, or something cannot be scored or saved.
@@ -240,6 +267,7 @@ pub fn execute(
     plan: &Plan,
     model: Model,
     live: Option<(Listener, &str)>,
+    publisher: Option<Box<dyn RunObserver>>,
     console: Console,
     stop: &Arc<AtomicBool>,
 ) -> anyhow::Result<u8> {
@@ -248,8 +276,9 @@ pub fn execute(
         .map(|(listener, title)| live::start(listener, title, plan, console, stop))
         .transpose()?;
     let mut watchers = Watchers {
-        progress: Progress::new(plan.frames_left().len(), console),
+        progress: Progress::new(plan.num_frames_left(), console),
         live,
+        publisher,
     };
     let result = plan.run(model, &mut watchers, stop);
     watchers.end(plan, &result);
@@ -263,31 +292,40 @@ pub fn execute(
 }
 
 fn announce(plan: &Plan, model: &Model, console: Console) {
-    let camera = plan.dataset.camera();
-    let format = plan.dataset.format().to_string();
+    let camera = plan.input.camera();
+    let format = match plan.dataset() {
+        Some(dataset) => dataset.format().to_string(),
+        None => "live camera".into(),
+    };
     let (dataset, out) = (plan.dataset_path.display(), plan.folder.path());
     console.event(
         "start",
         json!({
             "dataset": plan.dataset_path.to_string_lossy(),
             "format": format,
-            "frames": plan.frames_left(),
+            "frames": plan.num_frames_left().map(|_| plan.frames_left()),
             "width": camera.width,
             "height": camera.height,
             "backend": model.name,
             "out": out.to_string_lossy(),
         }),
     );
-    console.say(format!(
-        "{dataset}: {format}, frames {}..{} of {}, {}x{}",
-        plan.frames_left().start,
-        plan.frames.end,
-        plan.dataset.len(),
-        camera.width,
-        camera.height
-    ));
+    let frames = match plan.dataset() {
+        Some(dataset) => {
+            let Range { start, end } = plan.frames_left();
+            format!("frames {start}..{end} of {}", dataset.len())
+        }
+        None => match plan.num_frames_left() {
+            Some(count) => format!("{count} frames"),
+            None => "until Ctrl-C".into(),
+        },
+    };
+    let (width, height) = (camera.width, camera.height);
+    console.say(format!("{dataset}: {format}, {frames}, {width}x{height}"));
     console.say(format!("computing on {model}"));
-    warn_of_poses(&plan.dataset);
+    if let Some(dataset) = plan.dataset() {
+        warn_of_poses(dataset);
+    }
 }
 
 /// Says so if the recording's poses cannot be used.
@@ -322,10 +360,12 @@ fn report(plan: &Plan, result: &RunResult, console: Console) -> anyhow::Result<(
         } else {
             "no frame fits another; do depth_scale and the focal lengths fit the images?"
         };
-        let dataset = plan.dataset_path.display();
-        bail!(
-            "the camera was lost in every frame: {cause} `fgs doctor {dataset}` looks for the cause"
-        );
+        let help = plan.dataset().map(|_| {
+            let dataset = plan.dataset_path.display();
+            format!(" `fgs doctor {dataset}` looks for the cause")
+        });
+        let help = help.unwrap_or_default();
+        bail!("the camera was lost in every frame: {cause}{help}");
     }
     Ok(())
 }

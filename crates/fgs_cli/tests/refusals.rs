@@ -236,3 +236,24 @@ fn a_disk_that_fills_up() {
         assert!(left.iter().any(|name| name == file), "{file}: {left:?}");
     }
 }
+
+#[test]
+fn live_cameras_that_cannot_be() {
+    let folder = folder_with_recording();
+    let refuse = |arguments: &[&str], parts: &[&str]| refuse(folder.path(), arguments, 2, parts);
+    refuse(&["run", "--camera-source", "webcam:0"], &["webcam", "ros2"]);
+    refuse(&["run", "--camera-source", "ros2"], &["ros2"]);
+    for option in [
+        &["--eval"][..],
+        &["room"],
+        &["--mode", "lockstep"],
+        &["--resume", "runs/x"],
+    ] {
+        let arguments = [&["run", "--camera-source", "ros2:/camera"][..], option].concat();
+        let output = run(folder.path(), &arguments, 2);
+        assert!(
+            stderr(&output).contains("cannot be used with"),
+            "{option:?}"
+        );
+    }
+}

@@ -1,11 +1,12 @@
-//! Loads one frame: takes its images from where they are, converts depth to metres and removes lens
-//! distortion.
+//! Loads one frame: takes its images from where they are, converts depth to metres and makes a frame of
+//! them.
 
 use std::sync::Arc;
 
-use fgs_geom::{Camera, DepthSensor, FrameIndex, Image, PixelMap, RgbdFrame, depth_from_raw};
+use fgs_geom::{Camera, FrameIndex, RgbdFrame, depth_from_raw};
 
 use crate::formats::FrameFiles;
+use crate::frame_maker::FrameMaker;
 use crate::frame_source::{FrameImages, FrameSource};
 use crate::images::{read_color, read_depth};
 use crate::{CameraFile, DataError, Trajectory};
@@ -15,14 +16,9 @@ use crate::{CameraFile, DataError, Trajectory};
 pub(crate) struct FrameLoader {
     source: Arc<dyn FrameSource>,
     timestamps: Arc<[f64]>,
-    camera: Camera,
-    undistortion: Option<PixelMap>,
-    /// Shared by all frames; `None` if every pixel of an undistorted image has a source.
-    color_valid: Option<Arc<Image<bool>>>,
+    maker: FrameMaker,
     /// What the source's depth has to be multiplied by.
     depth_factor: f32,
-    depth_sensor: DepthSensor,
-    color_readout_secs: f64,
     /// The recording device's own poses, of some of the frames.
     device_poses: Option<Arc<Trajectory>>,
 }
@@ -34,22 +30,11 @@ impl FrameLoader {
         timestamps: Arc<[f64]>,
         camera_file: &CameraFile,
     ) -> Self {
-        let camera = *camera_file.camera();
-        let undistortion = camera_file
-            .distortion()
-            .map(|lens| lens.undistortion(&camera));
-        let color_valid = undistortion.as_ref().map(PixelMap::color_valid);
         Self {
             source,
             timestamps,
-            camera,
-            undistortion,
-            color_valid: color_valid
-                .filter(|valid| valid.data().contains(&false))
-                .map(Arc::new),
+            maker: FrameMaker::new(camera_file),
             depth_factor: 1.0,
-            depth_sensor: camera_file.depth_sensor(),
-            color_readout_secs: camera_file.color_readout_secs(),
             device_poses: None,
         }
     }
@@ -68,8 +53,7 @@ impl FrameLoader {
 
     /// Takes over the times of a camera file that is otherwise the same.
     pub fn set_times(&mut self, camera_file: &CameraFile) {
-        self.depth_sensor = camera_file.depth_sensor();
-        self.color_readout_secs = camera_file.color_readout_secs();
+        self.maker.set_times(camera_file);
     }
 
     pub fn timestamps(&self) -> &[f64] {
@@ -77,7 +61,7 @@ impl FrameLoader {
     }
 
     pub fn camera(&self) -> &Camera {
-        &self.camera
+        self.maker.camera()
     }
 
     /// A frame's images as the lens drew them.
@@ -94,30 +78,10 @@ impl FrameLoader {
             index,
             len: self.timestamps.len(),
         })?;
-        let FrameImages {
-            mut color,
-            mut depth_m,
-            color_valid,
-        } = self.images(index)?;
-        if let Some(map) = &self.undistortion {
-            // The map is made for this camera, whose size both images have.
-            color = map.color(&color).unwrap_or(color);
-            depth_m = map.depth(&depth_m).unwrap_or(depth_m);
-        }
-        let frame = RgbdFrame::new(
-            FrameIndex(index),
-            timestamp_secs,
-            color,
-            depth_m,
-            self.camera,
-        );
-        let mut frame = match color_valid.map(Arc::new).or(self.color_valid.clone()) {
-            Some(valid) => frame.and_then(|frame| frame.with_color_valid(valid)),
-            None => frame,
-        }
-        .map_err(|source| DataError::Frame { index, source })?;
-        frame.depth_sensor = self.depth_sensor;
-        frame.color_readout_secs = self.color_readout_secs;
+        let images = self.images(index)?;
+        let mut frame = (self.maker)
+            .frame(FrameIndex(index), timestamp_secs, images)
+            .map_err(|source| DataError::Frame { index, source })?;
         let poses = self.device_poses.as_ref();
         frame.device_pose = poses.and_then(|poses| poses.at(timestamp_secs));
         Ok(frame)

@@ -1,7 +1,7 @@
 //! RGB-D recordings on disk, read as a stream of frames, and trajectory files.
 //!
 //! Input: a folder in one of four plain layouts of [`Format`], or a [`FrameSource`] for the other
-//! programs' formats (crate `fgs_recordings`). Output: undistorted
+//! programs' formats (crate `fgs_recordings`). A live camera is a [`CameraSource`]. Output: undistorted
 //! [`fgs_geom::RgbdFrame`]s with depth in metres, in order, prefetched on decoder threads.
 //!
 //! Invariant: everything specific to a data set (layout, depth unit, quaternion order) stays inside
@@ -20,10 +20,12 @@
 
 mod association;
 mod camera_file;
+mod camera_source;
 mod dataset;
 mod error;
 mod formats;
 mod frame_loader;
+mod frame_maker;
 mod frame_source;
 mod frame_stream;
 mod images;
@@ -36,9 +38,11 @@ mod trajectory;
 
 pub use association::associate;
 pub use camera_file::CameraFile;
+pub use camera_source::{CameraSource, LiveImages};
 pub use dataset::{Dataset, OpenOptions};
 pub use error::{DataError, LineFault};
 pub use formats::Format;
+pub use frame_maker::FrameMaker;
 pub use frame_source::{FrameImages, FrameSource, SourcedRecording};
 pub use frame_stream::FrameStream;
 pub use images::{decode_color, decode_depth, image_size};

@@ -21,6 +21,7 @@ mod polycam;
 mod rational_lens;
 mod record3d;
 mod ros_bag;
+mod ros_camera;
 mod ros_messages;
 mod stray_scanner;
 mod tree;
@@ -34,6 +35,7 @@ use fgs_data::{DataError, Dataset, OpenOptions};
 use fgs_files::is_present;
 
 pub use plain_folder::{WriteError, write_plain};
+pub use ros_camera::{ImageTopic, RosCamera, stamp_secs};
 
 use crate::tree::Tree;
 

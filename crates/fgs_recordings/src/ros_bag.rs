@@ -12,35 +12,15 @@ use fgs_data::{
     DataError, Format, FrameImages, FrameSource, OpenOptions, SourcedRecording, associate,
     natural_order,
 };
-use fgs_geom::{Camera, Intrinsics, PixelMap};
 
-use crate::camera_file::camera_file;
-use crate::cdr::{CdrReader, NotCdr};
 use crate::fault::{fault, io_fault};
 use crate::mcap_file::McapFile;
-use crate::rational_lens::undistortion;
-use crate::ros_messages::{CameraInfo, Header, RosImage};
-use crate::working_image::WorkingImage;
+use crate::ros_camera::{ImageTopic, REGISTERED, RosCamera, damaged, stamp_secs};
+use crate::ros_messages::CameraInfo;
 
 const IMAGE: &str = "sensor_msgs/msg/Image";
 const COMPRESSED_IMAGE: &str = "sensor_msgs/msg/CompressedImage";
 const CAMERA_INFO: &str = "sensor_msgs/msg/CameraInfo";
-
-/// Units a metre of depth in ROS.
-const DEPTH_SCALE: f64 = 1000.0;
-
-/// Names of topics with depth that was moved to the colour camera.
-const REGISTERED: [&str; 4] = ["aligned", "registered", "to_color", "to_rgb"];
-
-/// A topic with images.
-struct ImageTopic {
-    name: String,
-    is_compressed: bool,
-    is_depth: bool,
-    is_grey: bool,
-    frame: String,
-    size: (usize, usize),
-}
 
 /// Where a message is, and when it was taken.
 #[derive(Clone, Copy)]
@@ -53,21 +33,9 @@ struct Message {
 /// The frames of a bag.
 struct BagFrames {
     files: Vec<McapFile>,
-    color: ImageTopic,
-    depth: ImageTopic,
+    camera: RosCamera,
     /// Colour and depth of each frame.
     frames: Vec<(Message, Message)>,
-    working: WorkingImage,
-    /// Of lenses that a camera file cannot describe.
-    undistortion: Option<PixelMap>,
-}
-
-/// How a lens bends images.
-enum Bending {
-    /// As camera files have it; `None` if not at all.
-    Polynomial(Option<[f64; 5]>),
-    /// See [`undistortion`].
-    Rational([f64; 8]),
 }
 
 /// The MCAP files at a path: itself, or those in the folder in their order. None if there is none.
@@ -128,24 +96,16 @@ pub(crate) fn open(
         .into_iter()
         .map(|(color, depth)| (colors[color], depths[depth]))
         .collect();
-    let (native, bending) = lens(path, &info, &color)?;
-    let working = WorkingImage::new(&native, depth.size).map_err(|message| fault(path, message))?;
-    let (distortion, undistortion) = match bending {
-        Bending::Polynomial(distortion) => (distortion, None),
-        Bending::Rational(d) => (None, Some(undistortion(&d, working.camera()))),
-    };
+    let camera = RosCamera::new(path, &info, color, depth)?;
     Ok(SourcedRecording {
         format: Format::Mcap,
-        camera: camera_file(*working.camera(), distortion, DEPTH_SCALE, path)?,
+        camera: camera.camera_file().clone(),
         timestamps: frames.iter().map(|(color, _)| color.secs).collect(),
         device_poses: Ok(None),
         source: Box::new(BagFrames {
             files,
-            color,
-            depth,
+            camera,
             frames,
-            working,
-            undistortion,
         }),
     })
 }
@@ -161,28 +121,11 @@ fn image_topics(
         if schema != IMAGE && !is_compressed {
             continue;
         }
-        let of_first = |path: &Path, message: &[u8]| -> Option<ImageTopic> {
-            let image = read_image(message, is_compressed).ok()?;
-            Some(ImageTopic {
-                name: name.clone(),
-                is_compressed,
-                is_depth: image.is_depth()?,
-                is_grey: image.is_grey(),
-                frame: image.header.frame.clone(),
-                size: image.size(path).ok()?,
-            })
-        };
+        let of_first =
+            |path: &Path, message: &[u8]| ImageTopic::of(path, name, is_compressed, message).ok();
         found.extend(first(files, name, of_first)?.flatten());
     }
     Ok(found)
-}
-
-fn read_image(message: &[u8], is_compressed: bool) -> Result<RosImage<'_>, NotCdr> {
-    if is_compressed {
-        RosImage::read_compressed(message)
-    } else {
-        RosImage::read(message)
-    }
 }
 
 /// What `read` makes of a topic's first message, if it has one.
@@ -213,15 +156,13 @@ fn choose(path: &Path, topics: Vec<ImageTopic>) -> Result<(ImageTopic, ImageTopi
     let mut best: Option<(u32, usize, usize)> = None;
     for (c, color) in colors.iter().enumerate() {
         for (d, depth) in depths.iter().enumerate() {
-            let is_same_camera = color.frame == depth.frame && !color.frame.is_empty();
-            let is_registered = is_same_camera || name_says(depth, &REGISTERED);
-            if !is_registered {
+            if !depth.is_registered_to(color) {
                 continue;
             }
             let points = [
                 (!color.is_grey, 32),
                 (name_says(color, &["color", "rgb"]), 16),
-                (is_same_camera, 8),
+                (depth.is_of_camera(color), 8),
                 (name_says(depth, &REGISTERED), 4),
                 (!depth.is_compressed, 2),
                 (!color.is_compressed, 1),
@@ -292,60 +233,17 @@ fn camera_info(
     ))
 }
 
-/// The camera of a topic's images and its distortion.
-fn lens(
-    path: &Path,
-    info: &CameraInfo,
-    color: &ImageTopic,
-) -> Result<(Camera, Bending), DataError> {
-    let camera = |fx, fy, cx, cy| {
-        let intrinsics = Intrinsics { fx, fy, cx, cy };
-        Camera::new(color.size.0, color.size.1, intrinsics).map_err(|source| DataError::Camera {
-            path: path.into(),
-            source,
-        })
-    };
-    if color.name.contains("rect") && info.p[0] > 0.0 {
-        let [fx, _, cx, _, _, fy, cy, ..] = info.p;
-        return Ok((camera(fx, fy, cx, cy)?, Bending::Polynomial(None)));
-    }
-    let [fx, _, cx, _, fy, cy, ..] = info.k;
-    let camera = camera(fx, fy, cx, cy)?;
-    if info.d.iter().all(|value| *value == 0.0) {
-        return Ok((camera, Bending::Polynomial(None)));
-    }
-    let bending = match (info.distortion_model.as_str(), info.d.as_slice()) {
-        ("plumb_bob", &[k1, k2, p1, p2]) => Bending::Polynomial(Some([k1, k2, p1, p2, 0.0])),
-        ("plumb_bob", &[k1, k2, p1, p2, k3]) => Bending::Polynomial(Some([k1, k2, p1, p2, k3])),
-        ("rational_polynomial", &[k1, k2, p1, p2, k3, k4, k5, k6]) => {
-            Bending::Rational([k1, k2, p1, p2, k3, k4, k5, k6])
-        }
-        (model, d) => {
-            return Err(fault(
-                path,
-                format!(
-                    "the lens distortion {model:?} with {} coefficients is not understood: record \
-                     rectified images",
-                    d.len()
-                ),
-            ));
-        }
-    };
-    Ok((camera, bending))
-}
-
 /// The messages of two topics, each later than the one before.
 fn messages(files: &[McapFile], topics: [&str; 2]) -> Result<[Vec<Message>; 2], DataError> {
     let mut messages = [Vec::new(), Vec::new()];
     for (file, bag) in files.iter().enumerate() {
         bag.visit(&topics, None, |topic, log_time, message| {
-            let header = CdrReader::new(message).and_then(|mut reader| Header::read(&mut reader));
             // What is damaged is no frame.
-            if let Ok(header) = header {
+            if let Some(secs) = stamp_secs(message) {
                 messages[usize::from(topic == topics[1])].push(Message {
                     file,
                     log_time,
-                    secs: header.secs,
+                    secs,
                 });
             }
             ControlFlow::Continue(())
@@ -364,22 +262,14 @@ impl FrameSource for BagFrames {
             index,
             len: self.frames.len(),
         })?;
-        let color = self.image(&self.color, color, |image, path| {
-            image.color(path, self.working.color_size())
+        let camera = &self.camera;
+        let color = self.image(&camera.color, color, |path, message| {
+            camera.color(path, message)
         })?;
-        let depth_m = self.image(&self.depth, depth, |image, path| {
-            image.depth_m(path, self.working.depth_size())
+        let depth_m = self.image(&camera.depth, depth, |path, message| {
+            camera.depth_m(path, message)
         })?;
-        let images = self.working.images(&color, &depth_m, None);
-        let Some(map) = &self.undistortion else {
-            return Ok(images);
-        };
-        Ok(FrameImages {
-            // The map is made for this size.
-            color: map.color(&images.color).unwrap_or(images.color),
-            depth_m: map.depth(&images.depth_m).unwrap_or(images.depth_m),
-            color_valid: Some(map.color_valid()),
-        })
+        Ok(camera.joined(&color, &depth_m))
     }
 }
 
@@ -388,25 +278,19 @@ impl BagFrames {
         &self,
         topic: &ImageTopic,
         message: &Message,
-        decode: impl Fn(&RosImage<'_>, &Path) -> Result<T, DataError>,
+        decode: impl Fn(&Path, &[u8]) -> Result<T, DataError>,
     ) -> Result<T, DataError> {
         let file = &self.files[message.file];
         let path = file.path();
         let mut decoded = None;
         file.visit(&[&topic.name], Some(message.log_time), |_, _, bytes| {
-            decoded = match read_image(bytes, topic.is_compressed) {
-                // Others may have been written at the same time.
-                Ok(image) if image.header.secs != message.secs => return ControlFlow::Continue(()),
-                Ok(image) => Some(decode(&image, path)),
-                Err(NotCdr) => None,
-            };
+            // Others may have been written at the same time.
+            if stamp_secs(bytes).is_some_and(|secs| secs != message.secs) {
+                return ControlFlow::Continue(());
+            }
+            decoded = Some(decode(path, bytes));
             ControlFlow::Break(())
         })?;
-        decoded.unwrap_or_else(|| {
-            Err(fault(
-                path,
-                format!("an image of {} is damaged", topic.name),
-            ))
-        })
+        decoded.unwrap_or_else(|| Err(damaged(path, topic)))
     }
 }

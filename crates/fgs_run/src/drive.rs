@@ -5,11 +5,11 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread;
 use std::time::Duration;
 
-use fgs_data::{DataError, Trajectory};
-use fgs_geom::{FrameIndex, RgbdFrame};
+use fgs_data::{DataError, Dataset, Trajectory};
+use fgs_geom::FrameIndex;
 use fgs_slam::{
-    Execution, FrameResult, FrameStatus, SavedSession, Slam, SlamConfig, SlamEvent, SlamOutput,
-    Subscription, drive_with, replay_with,
+    Execution, FrameResult, FrameStatus, SavedSession, Slam, SlamConfig, SlamError, SlamEvent,
+    SlamOutput, Subscription, drive_with, live_with, replay_with,
 };
 use fgs_splat::GaussianModel;
 
@@ -17,6 +17,7 @@ use crate::backend::Model;
 use crate::checkpoints::Checkpoints;
 use crate::error::RunError;
 use crate::frame_log::FrameRow;
+use crate::input::Input;
 use crate::map_folder::{MapFolder, MapWriter};
 use crate::metrics::{Metrics, RefinedMetrics};
 use crate::observer::{RunEvent, RunObserver};
@@ -25,6 +26,10 @@ use crate::plan::{KnownMap, Plan};
 use crate::run_result::{FurtherSubmap, RunResult};
 use crate::score_values::{Scores, mean};
 use crate::settings::COMMIT;
+
+/// So many events wait for who looks on at a live camera: those of some minutes. The log of the run is whole
+/// in any case.
+const LIVE_EVENTS: usize = 10_000;
 
 /// Tracks and maps every frame of the plan and refines the map; nothing is scored or saved but
 /// checkpoints of the map. If one of them fails, [`RunResult::checkpoint_failure`] says why.
@@ -39,13 +44,12 @@ pub fn drive(
 ) -> Result<RunResult, RunError> {
     let mut slam = session(plan, model.map)?;
     let checkpoints = checkpoints(plan, &mut slam)?;
-    // Room for every frame: whoever looks on may be slow, but the log of a run is whole.
-    let events = slam.subscribe(plan.frames.len() + 1);
+    // Room for every frame: whoever looks on may be slow.
+    let events = slam.subscribe(plan.num_frames_left().unwrap_or(LIVE_EVENTS) + 1);
     observer.begin(&slam);
     let (output, saved) = thread::scope(|scope| {
         let tracking = scope.spawn(|| {
-            let frames = plan.dataset.frames(plan.frames_left());
-            let saved = feed(&mut slam, frames, checkpoints, plan.execution, stop);
+            let saved = feed(plan, &mut slam, checkpoints, stop);
             (slam.finish_refined(plan.refine, stop), saved)
         });
         pass_on(&events, observer);
@@ -86,7 +90,7 @@ pub fn drive(
 
 /// The session that the plan starts with: a new one, or one that goes on.
 fn session(plan: &Plan, model: Box<dyn GaussianModel>) -> Result<Slam, RunError> {
-    let (camera, config) = (plan.dataset.camera(), plan.settings.slam());
+    let (camera, config) = (plan.input.camera(), plan.settings.slam());
     let mut slam = match &plan.known_map {
         None => Slam::new(camera, &config, plan.execution, model)?,
         Some((known, folder)) => {
@@ -96,7 +100,9 @@ fn session(plan: &Plan, model: Box<dyn GaussianModel>) -> Result<Slam, RunError>
             }
             match known {
                 KnownMap::Resume(_) => {
-                    check_recording(plan, folder, &saved)?;
+                    if let Some(dataset) = plan.dataset() {
+                        check_recording(plan, dataset, folder, &saved)?;
+                    }
                     return restored(plan, &config, folder, model, saved);
                 }
                 KnownMap::Extend(_) => restored(plan, &config, folder, model, saved.into_map())?,
@@ -121,24 +127,26 @@ fn restored(
     model: Box<dyn GaussianModel>,
     saved: SavedSession,
 ) -> Result<Slam, RunError> {
-    let camera = plan.dataset.camera();
+    let camera = plan.input.camera();
     let image_of = |id| folder.keyframe(id, camera);
     Slam::restore(config, plan.execution, model, saved, image_of)
 }
 
 /// Whether a recording can be the one that a session has seen the beginning of.
-fn check_recording(plan: &Plan, folder: &MapFolder, saved: &SavedSession) -> Result<(), RunError> {
+fn check_recording(
+    plan: &Plan,
+    dataset: &Dataset,
+    folder: &MapFolder,
+    saved: &SavedSession,
+) -> Result<(), RunError> {
     let next = saved.next_frame().0;
     if next < plan.frames.start || next > plan.frames.end {
-        let what = format!(
-            "frame {next} would come next, and it has {}",
-            plan.dataset.len()
-        );
+        let what = format!("frame {next} would come next, and it has {}", dataset.len());
         return Err(other_recording(folder, &what));
     }
     let last = saved.last_frame();
     if let Some((last, secs)) = last.and_then(|last| Some((last.index.0, last.timestamp_secs?)))
-        && plan.dataset.timestamps().nth(last) != Some(secs)
+        && dataset.timestamps().nth(last) != Some(secs)
     {
         let what = format!("frame {last} was taken at another time than {secs} s");
         return Err(other_recording(folder, &what));
@@ -167,14 +175,11 @@ fn checkpoints(plan: &Plan, slam: &mut Slam) -> Result<Option<Checkpoints>, RunE
     Ok(Some(Checkpoints::begin(every, writer, slam)))
 }
 
-type Frame = Result<RgbdFrame, DataError>;
-
 /// Feeds the session, with checkpoints between frames and at their end if there are any.
 fn feed(
+    plan: &Plan,
     slam: &mut Slam,
-    frames: impl Iterator<Item = Frame>,
     mut checkpoints: Option<Checkpoints>,
-    execution: Execution,
     stop: &AtomicBool,
 ) -> Result<(), RunError> {
     let after_frame = |slam: &mut Slam| {
@@ -182,9 +187,20 @@ fn feed(
             checkpoints.after_frame(slam);
         }
     };
-    match execution {
-        Execution::Realtime => replay_with(slam, frames, stop, after_frame),
-        Execution::Lockstep | Execution::Parallel => drive_with(slam, frames, stop, after_frame),
+    match &plan.input {
+        Input::Camera(camera) => {
+            let frames = camera.frames(plan.frames.len(), plan.dataset_path.clone());
+            live_with(slam, frames, stop, after_frame).map_err(SlamError::Threads)?;
+        }
+        Input::Recording(dataset) => {
+            let frames = dataset.frames(plan.frames_left());
+            match plan.execution {
+                Execution::Realtime => replay_with(slam, frames, stop, after_frame),
+                Execution::Lockstep | Execution::Parallel => {
+                    drive_with(slam, frames, stop, after_frame);
+                }
+            }
+        }
     }
     checkpoints.map_or(Ok(()), |checkpoints| checkpoints.finish(slam))
 }

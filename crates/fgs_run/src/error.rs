@@ -47,6 +47,9 @@ pub enum RunError {
         /// Frames in the recording.
         len: usize,
     },
+    /// Something was asked for that only a recording can give.
+    #[error("a live camera's frames come once: {0}")]
+    NotLive(&'static str),
     /// The camera file given for the recording is refused, or does not fit its images.
     #[error(transparent)]
     Camera(DataError),
@@ -237,6 +240,7 @@ impl RunError {
             Self::Settings { .. }
             | Self::Assignment { .. }
             | Self::Frames { .. }
+            | Self::NotLive(_)
             | Self::Camera(_)
             | Self::NoDevice(_)
             | Self::UnknownRecording { .. }

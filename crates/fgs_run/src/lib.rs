@@ -30,6 +30,9 @@
 //! With [`RunOptions::checkpoint_every_secs`] the run also leaves its map in a form that outlives it
 //! ([`MapFolder`]): another run goes on with it, or finds its camera in it.
 //!
+//! [`Plan::resolve_live`] does the same with a camera at work: frames come once, so that nothing can be
+//! scored by them.
+//!
 //! [`ExportOptions`] take a finished run to other programs, as `fgs export` does.
 //!
 //! What a run is scored by stands in one place, [`SCORES`].
@@ -43,6 +46,7 @@ mod evaluation;
 mod export;
 mod frame_log;
 mod frame_range;
+mod input;
 mod map_folder;
 mod merge;
 mod metrics;
@@ -68,6 +72,7 @@ pub use export::{ExportFormat, ExportOptions, Exported, UnknownFormat};
 pub use fgs_files::OutputFolder;
 pub use frame_log::FrameRow;
 pub use frame_range::FrameRange;
+pub use input::{Input, LiveCamera};
 pub use map_folder::MapFolder;
 pub use merge::{MergeOptions, Merged, merge};
 pub use metrics::{Metrics, RefinedMetrics};

@@ -2,6 +2,7 @@
 //! [`RunObserver`].
 
 use fgs_slam::Slam;
+use fgs_splat::Gaussians;
 
 use crate::frame_log::FrameRow;
 
@@ -26,6 +27,11 @@ pub enum RunEvent<'a> {
         done: usize,
         /// Steps in all.
         total: usize,
+    },
+    /// The map is finished, refined if that was asked for; nothing is saved yet.
+    Mapped {
+        /// The map.
+        map: &'a Gaussians,
     },
     /// Frames were rendered and scored.
     Scored {

@@ -6,7 +6,7 @@ use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::AtomicBool;
 
-use fgs_data::Dataset;
+use fgs_data::{CameraSource, Dataset};
 use fgs_files::{OutputFolder, StagedFolder};
 use fgs_slam::{Execution, Holdout};
 
@@ -14,10 +14,11 @@ use crate::backend::{Backend, Model};
 use crate::drive::drive;
 use crate::error::RunError;
 use crate::frame_range::FrameRange;
+use crate::input::{Input, LiveCamera};
 use crate::map_folder::MapFolder;
-use crate::observer::RunObserver;
+use crate::observer::{RunEvent, RunObserver};
 use crate::pictures;
-use crate::recording::{check_size, open_recording, path_from, recording_name};
+use crate::recording::{check_size, open_recording, path_from, recording_name, take_camera_file};
 use crate::reference;
 use crate::report::write_report;
 use crate::rescore::{save_scores, without_detours};
@@ -27,6 +28,10 @@ use crate::settings::{COMMIT, RunSettings, Settings};
 
 /// Where results go unless a folder is given.
 const RUNS: &str = "runs";
+
+/// Of a live camera, resumed.
+const NOT_RESUMED: RunError =
+    RunError::NotLive("no run with them is resumed, but another one extends its map");
 
 /// What to run. Only `dataset` is needed; what is `None` comes from the settings, or else has the
 /// default given here.
@@ -88,13 +93,13 @@ impl KnownMap {
 
 /// Everything that a run needs, checked and opened.
 pub struct Plan {
-    /// The recording as given.
+    /// The recording, or the live camera, as given.
     pub dataset_path: PathBuf,
-    /// The recording, as seen from the folder for the results.
+    /// The recording, as seen from the folder for the results; a live camera as given.
     pub dataset_from_folder: PathBuf,
-    /// The recording.
-    pub dataset: Dataset,
-    /// Its frames to run.
+    /// The recording, or the live camera.
+    pub input: Input,
+    /// Its frames to run. Of a live camera, from 0 to as many as it may give.
     pub frames: Range<usize>,
     /// All settings, as they will be recorded.
     pub settings: Settings,
@@ -121,25 +126,11 @@ impl Plan {
     /// # Errors
     /// If anything in the options, the settings or the recording is refused.
     pub fn resolve(options: &RunOptions) -> Result<(Self, Model), RunError> {
-        let known_map = match &options.known_map {
-            Some(known) => Some((known.clone(), MapFolder::open(known.path())?)),
-            None => None,
-        };
-        let resumed = match &known_map {
-            Some((KnownMap::Resume(_), folder)) => Some(folder),
-            _ => None,
-        };
-        let mut settings = match &known_map {
-            Some((_, folder)) if options.config.is_none() => {
-                let settings = folder.settings()?;
-                let settings = match resumed {
-                    Some(_) => settings,
-                    None => settings.of_another_run(),
-                };
-                settings.assigned(&options.assignments)?
-            }
-            _ => Settings::load(options.config.as_deref(), &options.assignments)?,
-        };
+        let (known_map, mut settings) = known_map_and_settings(options)?;
+        let resumed = resumed(&known_map);
+        if resumed.is_some() && settings.run.camera_source.is_some() {
+            return Err(NOT_RESUMED);
+        }
         let dataset_path = match (&settings.run.dataset, resumed) {
             (Some(own), Some(map)) if options.dataset == Path::new("") => {
                 // The run may have left no results yet.
@@ -148,33 +139,116 @@ impl Plan {
             _ => options.dataset.clone(),
         };
         let dataset = open_recording(&dataset_path, options.camera.as_deref(), &mut settings)?;
-        let recorded = &settings.run;
-        let frames = options.frames.or(recorded.frames).unwrap_or_default();
+        let frames = options.frames.or(settings.run.frames).unwrap_or_default();
         let frames = frames.resolve(dataset.len())?;
         check_size(&dataset, frames.start)?;
-        let execution = options.execution.or(recorded.mode);
+        let execution = options.execution.or(settings.run.mode);
         let execution = execution.unwrap_or(Execution::Lockstep);
+        let input = Input::Recording(dataset);
+        Self::prepare(
+            options,
+            known_map,
+            settings,
+            &dataset_path,
+            input,
+            frames,
+            execution,
+        )
+    }
+
+    /// The same for a live camera, called `name`, in real time. Its frames end when it ends, after the first
+    /// so many of [`RunOptions::frames`], or when the run is stopped.
+    ///
+    /// # Errors
+    /// If anything in the options or the settings is refused, or asks for the frames again.
+    pub fn resolve_live(
+        options: &RunOptions,
+        name: &str,
+        source: Box<dyn CameraSource>,
+    ) -> Result<(Self, Model), RunError> {
+        let (known_map, mut settings) = known_map_and_settings(options)?;
+        if resumed(&known_map).is_some() {
+            return Err(NOT_RESUMED);
+        }
+        if options.evaluate {
+            return Err(RunError::NotLive(
+                "record them, and run the recording, to score by them",
+            ));
+        }
+        if options
+            .execution
+            .is_some_and(|mode| mode != Execution::Realtime)
+        {
+            return Err(RunError::NotLive("they are tracked in real time"));
+        }
+        let frames = options.frames.unwrap_or_default().resolve(usize::MAX)?;
+        if frames.start > 0 {
+            return Err(RunError::NotLive("a range of them begins with the first"));
+        }
+        take_camera_file(options.camera.as_deref(), &mut settings)?;
+        let camera = match settings.camera {
+            Some(camera) if settings.run.camera_overrides == Some(true) => camera,
+            _ => source.camera_file().clone(),
+        };
+        let input = LiveCamera::new(name, source, &camera).map_err(RunError::Camera)?;
+        settings.camera = Some(camera);
+        let input = Input::Camera(input);
+        let mode = Execution::Realtime;
+        Self::prepare(
+            options,
+            known_map,
+            settings,
+            Path::new(name),
+            input,
+            frames,
+            mode,
+        )
+    }
+
+    /// Opens the device and the folder for the results, in this order.
+    fn prepare(
+        options: &RunOptions,
+        known_map: Option<(KnownMap, MapFolder)>,
+        mut settings: Settings,
+        dataset_path: &Path,
+        input: Input,
+        frames: Range<usize>,
+        execution: Execution,
+    ) -> Result<(Self, Model), RunError> {
+        let recorded = &settings.run;
         let backend = options.backend.or(recorded.backend).unwrap_or_default();
         let model = backend.model(&settings.mapping, options.pipeline_cache.as_deref())?;
         let refine = options.refine.or(recorded.refine).unwrap_or(0);
         let eval_holdout = options.eval_holdout.or(recorded.eval_holdout);
         let checkpoint_every_secs =
             (options.checkpoint_every_secs).or(recorded.checkpoint_every_secs);
-        let folder = match (resumed, &options.out) {
+        let folder = match (resumed(&known_map), &options.out) {
             (Some(map), _) => OutputFolder::claim(&map.run_folder())?,
             (None, Some(path)) => OutputFolder::claim(path)?,
             (None, None) => {
-                OutputFolder::claim_new(Path::new(RUNS), &recording_name(&dataset_path))?
+                OutputFolder::claim_new(Path::new(RUNS), &recording_name(dataset_path))?
             }
         };
-        let dataset_from_folder = path_from(folder.path(), &dataset_path);
+        let (dataset_from_folder, dataset_frames) = match &input {
+            Input::Recording(dataset) => {
+                (path_from(folder.path(), dataset_path), Some(dataset.len()))
+            }
+            Input::Camera(_) => (dataset_path.to_owned(), None),
+        };
         settings.run = RunSettings {
             command: options.command.clone(),
-            dataset: Some(dataset_from_folder.clone()),
-            dataset_frames: Some(dataset.len()),
+            dataset: dataset_frames.map(|_| dataset_from_folder.clone()),
+            dataset_frames,
+            camera_source: match &input {
+                Input::Recording(_) => None,
+                Input::Camera(_) => Some(dataset_path.to_string_lossy().into_owned()),
+            },
             mode: Some(execution),
             backend: Some(model.backend),
-            frames: Some(frames.clone().into()),
+            frames: match dataset_frames {
+                Some(_) => Some(frames.clone().into()),
+                None => options.frames,
+            },
             refine: (refine > 0).then_some(refine),
             eval_holdout,
             checkpoint_every_secs,
@@ -182,9 +256,9 @@ impl Plan {
             commit: Some(COMMIT.into()),
         };
         let plan = Self {
-            dataset_path,
+            dataset_path: dataset_path.to_owned(),
             dataset_from_folder,
-            dataset,
+            input,
             frames,
             settings,
             execution,
@@ -198,17 +272,33 @@ impl Plan {
         Ok((plan, model))
     }
 
+    /// The recording, if the frames come from one.
+    pub fn dataset(&self) -> Option<&Dataset> {
+        match &self.input {
+            Input::Recording(dataset) => Some(dataset),
+            Input::Camera(_) => None,
+        }
+    }
+
     /// Measures when the sensors take their images as far as the camera file does not say, which takes
-    /// seconds, and goes by it from now on. The settings record it, so that a run that is repeated,
-    /// resumed or scored again has the same times. `progress` is called after every frame read; if it
+    /// seconds, and goes by it from now on; not of a live camera. The settings record it, so that a run
+    /// that is repeated, resumed or scored again has the same times. `progress` is called after every frame read; if it
     /// returns false, nothing is changed.
     pub fn measure_sensor_times(&mut self, progress: impl FnMut() -> bool) {
-        let times = fgs_sensors::measure(&self.dataset, progress);
+        let Input::Recording(dataset) = &mut self.input else {
+            return;
+        };
+        let times = fgs_sensors::measure(dataset, progress);
         // What no camera can have has not been measured.
-        if self.dataset.set_sensor_times(times).is_ok() && times.are_known() {
-            self.settings.camera = Some(self.dataset.camera_file().clone());
+        if dataset.set_sensor_times(times).is_ok() && times.are_known() {
+            self.settings.camera = Some(dataset.camera_file().clone());
             self.settings.run.camera_overrides = Some(true);
         }
+    }
+
+    /// How many frames are to be tracked now, if that is known.
+    pub fn num_frames_left(&self) -> Option<usize> {
+        (self.frames.end < usize::MAX).then(|| self.frames_left().len())
     }
 
     /// The frames that are to be tracked now.
@@ -232,6 +322,9 @@ impl Plan {
         stop: &AtomicBool,
     ) -> Result<RunResult, RunError> {
         let result = drive(self, model, observer, stop)?;
+        observer.on(&RunEvent::Mapped {
+            map: result.refined.as_ref().unwrap_or(&result.gaussians),
+        });
         self.conclude(result, observer, stop)
     }
 
@@ -244,12 +337,14 @@ impl Plan {
         stop: &AtomicBool,
     ) -> Result<RunResult, RunError> {
         let mut errors = FirstError(result.checkpoint_failure.take());
-        errors.note(result.score_trajectory(&self.dataset));
+        if let Some(dataset) = self.dataset() {
+            errors.note(result.score_trajectory(dataset));
+        }
         let beside = self.save(&mut result, &mut errors)?;
-        if self.evaluate {
+        if let Some(dataset) = self.dataset().filter(|_| self.evaluate) {
             let folder = beside.as_ref().unwrap_or(&self.folder);
-            match result.score_images(&self.dataset, observer, stop) {
-                Ok(true) => errors.note(save_scores(&result, &self.dataset, folder)),
+            match result.score_images(dataset, observer, stop) {
+                Ok(true) => errors.note(save_scores(&result, dataset, folder)),
                 Ok(false) => {}
                 Err(error) => errors.note(Err::<(), _>(error)),
             }
@@ -273,14 +368,18 @@ impl Plan {
             })?;
         let mut write_errors = FirstError::default();
         write_errors.note(result.save_trajectory(&results));
-        write_errors.note(reference::save(result, &self.dataset, &results));
+        if let Some(dataset) = self.dataset() {
+            write_errors.note(reference::save(result, dataset, &results));
+        }
         write_errors.note(self.save_settings(&results));
         write_errors.note(result.save_rows(&results));
         write_errors.note(result.save_map(&results));
         write_errors.note(result.save_refined_map(&results));
         write_errors.note(result.save_further(&results));
         write_errors.note(result.metrics.write(&results));
-        write_errors.note(pictures::write_samples(result, &self.dataset, &results));
+        if let Some(dataset) = self.dataset() {
+            write_errors.note(pictures::write_samples(result, dataset, &results));
+        }
         write_errors.note(write_report(&results));
         write_errors.note(self.folder.check());
         let Some(error) = write_errors.0 else {
@@ -308,6 +407,36 @@ impl Plan {
     }
 }
 
+/// The map that the run starts with, and the settings that apply before the camera is known.
+fn known_map_and_settings(
+    options: &RunOptions,
+) -> Result<(Option<(KnownMap, MapFolder)>, Settings), RunError> {
+    let known_map = match &options.known_map {
+        Some(known) => Some((known.clone(), MapFolder::open(known.path())?)),
+        None => None,
+    };
+    let settings = match &known_map {
+        Some((known, folder)) if options.config.is_none() => {
+            let settings = folder.settings()?;
+            let settings = match known {
+                KnownMap::Resume(_) => settings,
+                _ => settings.of_another_run(),
+            };
+            settings.assigned(&options.assignments)?
+        }
+        _ => Settings::load(options.config.as_deref(), &options.assignments)?,
+    };
+    Ok((known_map, settings))
+}
+
+/// The map of the run that goes on, if one does.
+fn resumed(known_map: &Option<(KnownMap, MapFolder)>) -> Option<&MapFolder> {
+    match known_map {
+        Some((KnownMap::Resume(_), folder)) => Some(folder),
+        _ => None,
+    }
+}
+
 /// The first of the errors of steps that do not depend on each other.
 #[derive(Default)]
 struct FirstError(Option<RunError>);
@@ -320,5 +449,7 @@ impl FirstError {
     }
 }
 
+#[cfg(test)]
+mod live_tests;
 #[cfg(test)]
 mod tests;

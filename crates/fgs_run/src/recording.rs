@@ -20,10 +20,7 @@ pub fn open_recording(
     camera_file: Option<&Path>,
     settings: &mut Settings,
 ) -> Result<Dataset, RunError> {
-    if let Some(path) = camera_file {
-        settings.camera = Some(CameraFile::read(path).map_err(RunError::Camera)?);
-        settings.run.camera_overrides = Some(true);
-    }
+    take_camera_file(camera_file, settings)?;
     let with = |camera: Option<CameraFile>| {
         open(
             folder,
@@ -43,6 +40,21 @@ pub fn open_recording(
     };
     settings.camera = Some(dataset.camera_file().clone());
     Ok(dataset)
+}
+
+/// Puts the camera file given for a run, if there is one, into the settings.
+///
+/// # Errors
+/// [`RunError::Camera`] if it is refused.
+pub(crate) fn take_camera_file(
+    path: Option<&Path>,
+    settings: &mut Settings,
+) -> Result<(), RunError> {
+    if let Some(path) = path {
+        settings.camera = Some(CameraFile::read(path).map_err(RunError::Camera)?);
+        settings.run.camera_overrides = Some(true);
+    }
+    Ok(())
 }
 
 /// Refuses a camera of another size than the recording's images, before every frame is found

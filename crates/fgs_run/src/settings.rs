@@ -67,6 +67,9 @@ pub struct RunSettings {
     /// Its number of frames.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub dataset_frames: Option<usize>,
+    /// The live camera, if the frames came from one.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub camera_source: Option<String>,
     /// How tracker and mapper took turns.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub mode: Option<Execution>,
@@ -303,6 +306,7 @@ mod tests {
             command: Some("fgs run \"a b\"".into()),
             dataset: Some("a b".into()),
             dataset_frames: Some(12),
+            camera_source: Some("ros2:/camera".into()),
             mode: Some(Execution::Lockstep),
             backend: Some(Backend::Cpu),
             frames: Some((2..8).into()),

@@ -55,4 +55,6 @@ pub use prepare::{KeyframePreparer, PreparedKeyframe};
 pub use refinement::RefinedMap;
 pub use saved_session::SavedSession;
 pub use session::{FurtherMap, KeyframeRecord, Slam, SlamError, SlamOutput, Timings};
-pub use system::{Execution, UnknownExecution, drive, drive_with, live, replay, replay_with};
+pub use system::{
+    Execution, UnknownExecution, drive, drive_with, live, live_with, replay, replay_with,
+};

@@ -631,7 +631,7 @@ impl Slam {
         }
     }
 
-    fn next_index(&self) -> FrameIndex {
+    pub(crate) fn next_index(&self) -> FrameIndex {
         let next = |frame: &RecordedFrame| FrameIndex(frame.result.index.0 + 1);
         self.frames.last().map_or(self.first, next)
     }

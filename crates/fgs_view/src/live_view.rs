@@ -62,7 +62,7 @@ struct Start<'a> {
 }
 
 impl LiveView {
-    /// Serves a page of a run called `title` over `frames` frames of a camera. Its button to stop sets `stop`.
+    /// Serves a page of a run called `title` over `frames` frames of a camera, 0 if nobody knows how many. Its button to stop sets `stop`.
     ///
     /// # Errors
     /// If no thread starts.

@@ -98,6 +98,7 @@ fn an_observer_sees_each_frame_and_each_scored_batch() {
                     format!("frame {}", row.index)
                 }
                 RunEvent::Refined { done, total } => format!("refined {done} of {total}"),
+                RunEvent::Mapped { .. } => "mapped".into(),
                 RunEvent::Scored { done, total } => format!("scored {done} of {total}"),
             });
         }
@@ -111,7 +112,7 @@ fn an_observer_sees_each_frame_and_each_scored_batch() {
     let expected = [
         &["frame 0", "frame 1", "frame 2"],
         &refined[..],
-        &["scored 3 of 3"],
+        &["mapped", "scored 3 of 3"],
     ]
     .concat();
     assert_eq!(seen.0, expected);
@@ -190,7 +191,7 @@ fn frames_that_cannot_be_scored_are_saved_without_scores() {
     let sequence = Sequence::new(1, FRAME_COUNT, camera, SensorModel::exact());
     fgs_synth::write_tum(&sequence, &small, |_| ControlFlow::Continue(())).unwrap();
     let plan = Plan {
-        dataset: Dataset::open(&small, &fgs_data::OpenOptions::default()).unwrap(),
+        input: Input::Recording(Dataset::open(&small, &fgs_data::OpenOptions::default()).unwrap()),
         ..plan
     };
     let error = plan.conclude(result, &mut (), &stop).unwrap_err();
@@ -205,7 +206,15 @@ fn frames_that_cannot_be_scored_are_saved_without_scores() {
 fn means(plan: &Plan, result: &RunResult, map: &Gaussians, holdout: Option<Holdout>) -> Scores {
     let mut rows = result.rows.clone();
     let (trajectory, never) = (&result.trajectory, AtomicBool::new(false));
-    score_images(&mut rows, trajectory, map, &plan.dataset, &mut (), &never).unwrap();
+    score_images(
+        &mut rows,
+        trajectory,
+        map,
+        plan.dataset().unwrap(),
+        &mut (),
+        &never,
+    )
+    .unwrap();
     let mut means = Scores::default();
     means.set_means(&rows, holdout);
     means

@@ -20,6 +20,7 @@ pub fn setting_changes(settings: &Settings) -> Vec<SettingChange> {
             command: None,
             dataset: None,
             dataset_frames: None,
+            camera_source: None,
             commit: None,
             ..settings.run.clone()
         },

@@ -21,7 +21,8 @@ use crate::session::Slam;
 const QUEUE: usize = 6;
 
 /// Pushes what `source` delivers until it ends (`None`), `stop` is set or the mapper is gone.
-/// Frames that the tracker is too slow for are recorded as dropped.
+/// Frames that the tracker is too slow for are recorded as dropped. Frames are numbered here, in the order
+/// in which they are recorded.
 ///
 /// The source runs on a thread of its own, which ends when the source next returns.
 ///
@@ -29,8 +30,21 @@ const QUEUE: usize = 6;
 /// If that thread does not start.
 pub fn live<E: Error + Send + 'static>(
     slam: &mut Slam,
+    source: impl FnMut() -> Option<Result<RgbdFrame, E>> + Send + 'static,
+    stop: &AtomicBool,
+) -> io::Result<()> {
+    live_with(slam, source, stop, |_| {})
+}
+
+/// As [`live`], and calls `after_frame` after each frame.
+///
+/// # Errors
+/// Those of [`live`].
+pub fn live_with<E: Error + Send + 'static>(
+    slam: &mut Slam,
     mut source: impl FnMut() -> Option<Result<RgbdFrame, E>> + Send + 'static,
     stop: &AtomicBool,
+    mut after_frame: impl FnMut(&mut Slam),
 ) -> io::Result<()> {
     let (to_tracker, frames) = bounded(QUEUE);
     let overflowed = Arc::new(AtomicUsize::new(0));
@@ -54,11 +68,23 @@ pub fn live<E: Error + Send + 'static>(
                 slam.skip_overflowed();
             }
             alive = match message {
-                Ok((Ok(frame), came)) if came.elapsed() > MAX_WAIT => {
-                    slam.skip_late(&frame);
-                    true
+                Ok((frame, came)) => {
+                    let frame = frame.map(|mut frame| {
+                        frame.index = slam.next_index();
+                        frame
+                    });
+                    match frame {
+                        Ok(frame) if came.elapsed() > MAX_WAIT => {
+                            slam.skip_late(&frame);
+                            true
+                        }
+                        frame => {
+                            let alive = push(slam, frame);
+                            after_frame(slam);
+                            alive
+                        }
+                    }
                 }
-                Ok((frame, _)) => push(slam, frame),
                 Err(RecvTimeoutError::Timeout) => slam.wait_until(Instant::now()),
                 Err(RecvTimeoutError::Disconnected) => false,
             };

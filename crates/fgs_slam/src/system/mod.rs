@@ -30,7 +30,7 @@ use preparation::Preparation;
 use worker::{MapperWorker, Ready};
 
 pub use drive::{drive, drive_with};
-pub use live::live;
+pub use live::{live, live_with};
 pub(crate) use mapping::{MapperGone, Mapping, Moves};
 pub use replay::{replay, replay_with};
 pub(crate) use worker::{MapReport, MapStatus, SavedMapping};
