@@ -13,13 +13,11 @@ use fgs_run::{
 };
 use fgs_sensors::frames_to_measure;
 use fgs_slam::{Execution, FrameStatus, Holdout};
-use fgs_view::Listener;
 use serde_json::json;
 
 use crate::console::{Console, complain};
 use crate::failure::{EXIT_DONE, EXIT_INTERRUPTED, explain};
-use crate::live::{self, Live, Watchers};
-use crate::progress::Progress;
+use crate::live::{Live, Onlookers};
 use crate::threads::Threads;
 use crate::{choices, interrupt};
 
@@ -174,7 +172,7 @@ pub fn run(args: &RunArgs) -> anyhow::Result<u8> {
         pipeline_cache: pipeline_cache_folder(),
         command: Some(command_line()),
     };
-    let listener = args.live.listen()?;
+    let onlookers = args.live.listen()?;
     let (mut plan, model) = Plan::resolve(&options).map_err(explain)?;
     args.threads.apply()?;
     let stop = interrupt::stop_flag()?;
@@ -182,8 +180,7 @@ pub fn run(args: &RunArgs) -> anyhow::Result<u8> {
     measure_sensor_times(&mut plan, console, &stop);
     let name = recording_name(&plan.dataset_path);
     let name = name.to_string_lossy();
-    let live = listener.map(|listener| (listener, &*name));
-    execute(&plan, model, live, console, &stop)
+    execute(&plan, model, (onlookers, &name), console, &stop)
 }
 
 /// Measures when the sensors take their images, if the camera file leaves it open, and reports it.
@@ -231,26 +228,19 @@ pub fn command_line() -> String {
     words.collect::<Vec<_>>().join(" ")
 }
 
-/// Does what was planned and reports on it, on a live page of some title too if browsers are listened for;
-/// returns the exit code.
+/// Does what was planned and reports on it, also to those who look on, under a title; returns the exit code.
 ///
 /// # Errors
 /// If the page cannot be served, no frame can be read, the mapper fails, or something cannot be scored or saved.
 pub fn execute(
     plan: &Plan,
     model: Model,
-    live: Option<(Listener, &str)>,
+    (onlookers, title): (Onlookers, &str),
     console: Console,
     stop: &Arc<AtomicBool>,
 ) -> anyhow::Result<u8> {
     announce(plan, &model, console);
-    let live = live
-        .map(|(listener, title)| live::start(listener, title, plan, console, stop))
-        .transpose()?;
-    let mut watchers = Watchers {
-        progress: Progress::new(plan.frames_left().len(), console),
-        live,
-    };
+    let mut watchers = onlookers.watchers(title, plan, console, stop)?;
     let result = plan.run(model, &mut watchers, stop);
     watchers.end(plan, &result);
     let result = result.map_err(explain)?;

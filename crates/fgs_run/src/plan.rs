@@ -279,6 +279,7 @@ impl Plan {
         write_errors.note(result.save_map(&results));
         write_errors.note(result.save_refined_map(&results));
         write_errors.note(result.save_further(&results));
+        write_errors.note(result.save_up(&results));
         write_errors.note(result.metrics.write(&results));
         write_errors.note(pictures::write_samples(result, &self.dataset, &results));
         write_errors.note(write_report(&results));
