@@ -53,7 +53,7 @@ pub fn run(args: &DemoArgs) -> anyhow::Result<u8> {
             .model(&settings.mapping, cache.as_deref())
             .map_err(explain)?;
     }
-    let listener = args.live.listen()?;
+    let onlookers = args.live.listen()?;
     let folder = args.out.clone().unwrap_or_else(first_free);
     args.threads.apply()?;
     let stop = interrupt::stop_flag()?;
@@ -76,8 +76,7 @@ pub fn run(args: &DemoArgs) -> anyhow::Result<u8> {
         ..RunOptions::default()
     };
     let (plan, model) = Plan::resolve(&options).map_err(explain)?;
-    let live = listener.map(|listener| (listener, "demo"));
-    let exit_code = execute(&plan, model, live, None, console, &stop)?;
+    let exit_code = execute(&plan, model, (onlookers, "demo"), console, &stop)?;
     let out = plan.folder.path().display();
     console.say(format!(
         "

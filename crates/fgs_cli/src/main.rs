@@ -20,6 +20,8 @@ mod memory;
 mod merge;
 mod progress;
 mod render;
+#[cfg(feature = "rerun")]
+mod rerun;
 mod run;
 mod synth;
 mod threads;

@@ -9,18 +9,16 @@ use anyhow::bail;
 use clap::Args;
 use fgs_data::{Dataset, SensorTimes};
 use fgs_run::{
-    Backend, FrameRange, KnownMap, Model, Plan, RunObserver, RunOptions, RunResult,
-    pipeline_cache_folder, recording_name,
+    Backend, FrameRange, KnownMap, Model, Plan, RunOptions, RunResult, pipeline_cache_folder,
+    recording_name,
 };
 use fgs_sensors::frames_to_measure;
 use fgs_slam::{Execution, FrameStatus, Holdout};
-use fgs_view::Listener;
 use serde_json::json;
 
 use crate::console::{Console, complain};
 use crate::failure::{EXIT_DONE, EXIT_INTERRUPTED, explain};
-use crate::live::{self, Live, Watchers};
-use crate::progress::Progress;
+use crate::live::{Live, Onlookers};
 use crate::threads::Threads;
 use crate::{camera, choices, interrupt};
 
@@ -187,14 +185,13 @@ pub fn run(args: &RunArgs) -> anyhow::Result<u8> {
         pipeline_cache: pipeline_cache_folder(),
         command: Some(command_line()),
     };
-    let listener = args.live.listen()?;
+    let mut onlookers = args.live.listen()?;
     let console = Console::new(args.json);
-    let mut publisher = None;
     let (mut plan, model) = match &args.camera_source {
         None => Plan::resolve(&options),
         Some(name) => {
             let camera = camera::open(name, console)?;
-            publisher = camera.publisher;
+            onlookers.publisher = camera.publisher;
             Plan::resolve_live(&options, name, camera.source)
         }
     }
@@ -204,8 +201,7 @@ pub fn run(args: &RunArgs) -> anyhow::Result<u8> {
     measure_sensor_times(&mut plan, console, &stop);
     let name = recording_name(&plan.dataset_path);
     let name = name.to_string_lossy();
-    let live = listener.map(|listener| (listener, &*name));
-    execute(&plan, model, live, publisher, console, &stop)
+    execute(&plan, model, (onlookers, &name), console, &stop)
 }
 
 /// Measures when the sensors take their images, if the camera file leaves it open, and reports it.
@@ -258,28 +254,19 @@ pub fn command_line() -> String {
     words.collect::<Vec<_>>().join(" ")
 }
 
-/// Does what was planned and reports on it, on a live page of some title too if browsers are listened for,
-/// and to a publisher if there is one; returns the exit code.
+/// Does what was planned and reports on it, also to those who look on, under a title; returns the exit code.
 ///
 /// # Errors
 /// If the page cannot be served, no frame can be read, the mapper fails, or something cannot be scored or saved.
 pub fn execute(
     plan: &Plan,
     model: Model,
-    live: Option<(Listener, &str)>,
-    publisher: Option<Box<dyn RunObserver>>,
+    (onlookers, title): (Onlookers, &str),
     console: Console,
     stop: &Arc<AtomicBool>,
 ) -> anyhow::Result<u8> {
     announce(plan, &model, console);
-    let live = live
-        .map(|(listener, title)| live::start(listener, title, plan, console, stop))
-        .transpose()?;
-    let mut watchers = Watchers {
-        progress: Progress::new(plan.num_frames_left(), console),
-        live,
-        publisher,
-    };
+    let mut watchers = onlookers.watchers(title, plan, console, stop)?;
     let result = plan.run(model, &mut watchers, stop);
     watchers.end(plan, &result);
     let result = result.map_err(explain)?;

@@ -12,11 +12,12 @@ use clap::Args;
 use fgs_data::Trajectory;
 use fgs_geom::{Camera, RgbdFrame, Se3};
 use fgs_run::{
-    CONFIG, FinishedRun, MapFolder, OutputFolder, RunError, RunFolder, RunResult, Settings,
-    TRAJECTORY, recording_name,
+    CONFIG, FinishedRun, MAP, MapFolder, OutputFolder, REFINED_MAP, RunError, RunFolder, RunResult,
+    Settings, TRAJECTORY, recording_name, up_of,
 };
 use fgs_splat::Gaussians;
 use fgs_view::{Address, KeyframePictures, Site, SiteKeyframe, Summary};
+use nalgebra::Vector3;
 
 use crate::console::Console;
 use crate::failure::{EXIT_DONE, EXIT_INTERRUPTED, UsageError};
@@ -83,7 +84,7 @@ fn open(source: &Path, stop: &AtomicBool) -> anyhow::Result<Site> {
         return of_map(source);
     }
     match MapFolder::open(source) {
-        Ok(folder) => of_checkpoint(&folder, stop),
+        Ok(folder) => of_checkpoint(&folder, source, stop),
         Err(RunError::NoMap { path }) if path.is_dir() => {
             let path = path.display();
             bail!(UsageError(format!(
@@ -105,10 +106,11 @@ fn is_interruption(error: &anyhow::Error) -> bool {
 fn of_run(folder: &RunFolder, stop: &AtomicBool) -> anyhow::Result<Site> {
     let path = folder.path();
     let result = RunResult::read(folder)?;
-    let map = result.refined.as_ref().unwrap_or(&result.gaussians);
+    let map = result.finest_map();
     check(map, path)?;
     let settings = Settings::read(&folder.join(CONFIG))?;
-    let poses: Vec<Se3> = poses(&result.trajectory);
+    let poses = result.poses();
+    let up = up_of(Some(path), map, &poses);
     let rows = result.rows.iter().filter(|row| row.keyframe.is_some());
     let keyframes: Vec<SiteKeyframe> = rows
         .filter_map(|row| {
@@ -132,12 +134,12 @@ fn of_run(folder: &RunFolder, stop: &AtomicBool) -> anyhow::Result<Site> {
         title: recording_name(path).to_string_lossy().into_owned(),
         numbers: numbers(&result),
     };
-    with_pictures(&summary, map, &poses, &keyframes, pictures, stop)
+    with_pictures(&summary, (map, up), &poses, &keyframes, pictures, stop)
 }
 
 /// Pages of a map's last checkpoint. Its folder has the keyframes' photographs; the camera's path is drawn
 /// from keyframe to keyframe.
-fn of_checkpoint(folder: &MapFolder, stop: &AtomicBool) -> anyhow::Result<Site> {
+fn of_checkpoint(folder: &MapFolder, source: &Path, stop: &AtomicBool) -> anyhow::Result<Site> {
     let saved = folder.session()?;
     let (map, records) = saved.largest_map()?;
     check(&map, folder.path())?;
@@ -152,6 +154,8 @@ fn of_checkpoint(folder: &MapFolder, stop: &AtomicBool) -> anyhow::Result<Site> 
         })
         .collect();
     let camera = *saved.camera();
+    // A merge has left what is known.
+    let up = up_of(Some(source), &map, &poses);
     let mut photograph = |place: usize| {
         let id = records.get(place)?.id;
         folder.keyframe(id, &camera).ok()
@@ -169,7 +173,7 @@ fn of_checkpoint(folder: &MapFolder, stop: &AtomicBool) -> anyhow::Result<Site> 
         numbers,
     };
     let pictures = Some((camera, &mut photograph as Photograph<'_>));
-    with_pictures(&summary, &map, &poses, &keyframes, pictures, stop)
+    with_pictures(&summary, (&map, up), &poses, &keyframes, pictures, stop)
 }
 
 /// Gives a keyframe's photograph.
@@ -178,7 +182,7 @@ type Photograph<'a> = &'a mut dyn FnMut(usize) -> Option<RgbdFrame>;
 /// Pages with pictures of keyframes, if their camera is known, which take a while.
 fn with_pictures(
     summary: &Summary,
-    map: &Gaussians,
+    (map, up): (&Gaussians, Vector3<f64>),
     poses: &[Se3],
     keyframes: &[SiteKeyframe],
     pictures: Option<(Camera, Photograph<'_>)>,
@@ -198,7 +202,7 @@ fn with_pictures(
         photograph,
         on_picture,
     });
-    let site = Site::new(summary, map, poses, keyframes, pictures);
+    let site = Site::new(summary, map, up, poses, keyframes, pictures);
     bar.finish_and_clear();
     Ok(site?)
 }
@@ -209,7 +213,9 @@ fn of_map(path: &Path) -> anyhow::Result<Site> {
     check(&map, path)?;
     let trajectory = path.with_file_name(TRAJECTORY);
     let poses = if trajectory.is_file() {
-        poses(&Trajectory::read(&trajectory)?)
+        let trajectory = Trajectory::read(&trajectory)?;
+        let poses = trajectory.poses().iter();
+        poses.map(|pose| pose.world_from_camera).collect()
     } else {
         Vec::new()
     };
@@ -217,7 +223,10 @@ fn of_map(path: &Path) -> anyhow::Result<Site> {
         title: recording_name(path).to_string_lossy().into_owned(),
         numbers: Vec::new(),
     };
-    Ok(Site::new(&summary, &map, &poses, &[], None)?)
+    // Other maps there have axes of their own.
+    let is_main = [MAP, REFINED_MAP].iter().any(|name| path.ends_with(name));
+    let up = up_of(path.parent().filter(|_| is_main), &map, &poses);
+    Ok(Site::new(&summary, &map, up, &poses, &[], None)?)
 }
 
 fn check(map: &Gaussians, path: &Path) -> anyhow::Result<()> {
@@ -228,11 +237,6 @@ fn check(map: &Gaussians, path: &Path) -> anyhow::Result<()> {
         );
     }
     Ok(())
-}
-
-fn poses(trajectory: &Trajectory) -> Vec<Se3> {
-    let poses = trajectory.poses().iter();
-    poses.map(|pose| pose.world_from_camera).collect()
 }
 
 /// What there is to say about a run.

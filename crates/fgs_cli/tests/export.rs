@@ -205,3 +205,43 @@ fn what_is_there_stays() {
         "0.001 to 1 m",
     );
 }
+
+/// Exports, pages and maps alone go by the direction that was found once.
+#[test]
+fn whatever_is_made_of_a_run_is_level_alike() {
+    let folder = folder_with_recording();
+    let path = folder.path();
+    run(path, &[&RUN, ["2"].as_slice()].concat(), 0);
+    let saved = path.join("runs/room/up.txt");
+    let found: Vec<f64> = fs::read_to_string(&saved)
+        .unwrap()
+        .split_whitespace()
+        .map(|word| word.parse().unwrap())
+        .collect();
+    let up_of_pages = |source: &str| -> Vec<f64> {
+        run(path, &["view", source, "--export", "pages"], 0);
+        let scene = fs::read(path.join("pages/scene.json")).unwrap();
+        let scene: serde_json::Value = serde_json::from_slice(&scene).unwrap();
+        serde_json::from_value(scene["up"].clone()).unwrap()
+    };
+    let is_close = |a: &[f64], b: &[f64]| a.iter().zip(b).all(|(a, b)| (a - b).abs() < 1e-6);
+    // It is the one that anybody finds who looks at the map.
+    fs::remove_file(&saved).unwrap();
+    assert!(is_close(&up_of_pages("runs/room"), &found));
+    // Whatever it says is believed.
+    let other = [0.6, -0.8, 0.0];
+    assert!(!is_close(&found, &other));
+    fs::write(&saved, "0.6 -0.8 0.0\n").unwrap();
+    for source in ["runs/room", "runs/room/map.ply"] {
+        assert!(is_close(&up_of_pages(source), &other), "{source}");
+    }
+    export(path, &["--to", "ply"]);
+    let read = |name: &str| fgs_splat::read_ply(&path.join("runs/room").join(name)).unwrap();
+    let (level, map) = (read("export/map.ply"), read("map.ply"));
+    for (level, mean) in level.means.iter().zip(&map.means) {
+        let height: f64 = (mean.iter().zip(other))
+            .map(|(x, up)| f64::from(*x) * up)
+            .sum();
+        assert!((f64::from(level[1]) + height).abs() < 1e-4);
+    }
+}

@@ -46,6 +46,9 @@ fn two_maps_become_one_that_a_run_finds_itself_in() {
         fgs_splat::read_ply(&map).unwrap().len()
     });
     assert!(both.len() > alone[0].max(alone[1]));
+    // The axes are the first's, and so is what is up.
+    let up = |name: &str| fs::read_to_string(path.join(name).join("up.txt")).unwrap();
+    assert_eq!(up("both"), up("a"));
     // Where only b has been.
     let last = ["run", "room", "--frames", "80..", "--map", "both"];
     let only = ["--localize-only", "--backend", "cpu", "--out", "found"];

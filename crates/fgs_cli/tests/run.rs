@@ -15,7 +15,7 @@ use common::{
 use common::{fgs, interrupt_at};
 use serde_json::Value;
 
-const FILES: [&str; 9] = [
+const FILES: [&str; 10] = [
     ".fgs-files",
     "config.effective.toml",
     "frames.csv",
@@ -25,6 +25,7 @@ const FILES: [&str; 9] = [
     "reference.txt",
     "report.html",
     "trajectory.txt",
+    "up.txt",
 ];
 
 const COUNTS: [&str; 15] = [

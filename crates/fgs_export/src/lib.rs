@@ -41,6 +41,7 @@ pub use level::Level;
 pub use mesh::{Mesh, surface_mesh};
 pub use mesh_files::{write_mesh_glb, write_mesh_obj, write_mesh_ply};
 pub use points::{Point, surface_points, write_points};
+pub use quantities::unit_quat;
 pub use splat::{splat_record, write_splat};
 pub use splat_glb::write_splat_glb;
 pub use splat_ply::write_splat_ply;

@@ -23,7 +23,7 @@ pub(crate) fn y_up_quat([w, x, y, z]: [f32; 4]) -> [f32; 4] {
 }
 
 /// The rotation wxyz of gaussian i, of length 1; none at all if the stored one cannot be normalised.
-pub(crate) fn unit_quat(gaussians: &Gaussians, i: usize) -> [f32; 4] {
+pub fn unit_quat(gaussians: &Gaussians, i: usize) -> [f32; 4] {
     let quat = gaussians.quats[i];
     let largest = quat.iter().fold(0.0_f32, |largest, q| largest.max(q.abs()));
     // Scaled first, so that no square overflows or vanishes.

@@ -13,10 +13,10 @@ mod switch;
 
 use std::ffi::{OsStr, OsString};
 use std::fs::{self, File};
-use std::io::{self, BufWriter};
+use std::io::{self, BufWriter, Write};
 use std::path::{Path, PathBuf};
 
-use tempfile::{Builder, TempDir};
+use tempfile::{Builder, TempDir, TempPath};
 
 use contents::UNFINISHED;
 use lock::Lock;
@@ -33,6 +33,15 @@ pub fn write_file(
     path: &Path,
     content: impl FnOnce(&mut BufWriter<File>) -> io::Result<()>,
 ) -> io::Result<()> {
+    let (file, unfinished) = begin_file(path)?;
+    let mut writer = BufWriter::new(file);
+    content(&mut writer)?;
+    writer.into_inner()?.sync_all()?;
+    Ok(unfinished.persist(path)?)
+}
+
+/// Starts a file under a temporary name beside `path`.
+fn begin_file(path: &Path) -> io::Result<(File, TempPath)> {
     let (parent, prefix) = place(path)?;
     remove_dead_files(parent, path.file_name().unwrap_or_default());
     let mut builder = Builder::new();
@@ -46,10 +55,49 @@ pub fn write_file(
         .into_parts();
     // Tells others that its writer lives. Where there are no locks, nobody looks.
     let _ = file.try_lock();
-    let mut writer = BufWriter::new(file);
-    content(&mut writer)?;
-    writer.into_inner()?.sync_all()?;
-    Ok(unfinished.persist(path)?)
+    Ok((file, unfinished))
+}
+
+/// A file that is being written by somebody who knows nothing but its path.
+#[derive(Debug)]
+pub struct NewFile {
+    target: PathBuf,
+    unfinished: TempPath,
+    /// Locked as long as it is written.
+    file: File,
+}
+
+impl NewFile {
+    /// Starts a file that will stand at `target`, and replace what stands there.
+    ///
+    /// # Errors
+    /// The operating system's refusal.
+    pub fn begin(target: &Path) -> io::Result<Self> {
+        let (file, unfinished) = begin_file(target)?;
+        // There a lock also keeps others from writing.
+        if cfg!(windows) {
+            let _ = file.unlock();
+        }
+        Ok(Self {
+            target: target.to_owned(),
+            unfinished,
+            file,
+        })
+    }
+
+    /// Where it is written until it is finished.
+    pub fn path(&self) -> &Path {
+        &self.unfinished
+    }
+
+    /// Moves the file to its final place once it is on the disk.
+    ///
+    /// # Errors
+    /// The operating system's refusal.
+    pub fn finish(self) -> io::Result<()> {
+        self.file.sync_all()?;
+        Ok(self.unfinished.persist(self.target)?)
+    }
 }
 
 /// Waits until a folder's names are on the disk: what was renamed before survives a power cut whenever
@@ -103,6 +151,24 @@ impl NewFolder {
     /// Where its files go until it is finished.
     pub fn path(&self) -> &Path {
         self.unfinished.path()
+    }
+
+    /// Writes a new file in it, and makes the folders that its name goes through.
+    ///
+    /// # Errors
+    /// Whatever `content` returns, or the operating system's refusal.
+    pub fn write<E: From<io::Error>>(
+        &self,
+        name: &str,
+        content: impl FnOnce(&mut BufWriter<File>) -> Result<(), E>,
+    ) -> Result<(), E> {
+        let path = self.path().join(name);
+        if let Some(parent) = path.parent() {
+            fs::create_dir_all(parent)?;
+        }
+        let mut file = BufWriter::new(File::create_new(path)?);
+        content(&mut file)?;
+        Ok(file.flush()?)
     }
 
     /// Moves the folder to its final place.
@@ -178,8 +244,6 @@ fn refuse_existing(path: &Path) -> io::Result<()> {
 
 #[cfg(test)]
 mod tests {
-    use std::io::Write;
-
     use super::*;
 
     fn names(folder: &Path) -> Vec<String> {
@@ -204,6 +268,22 @@ mod tests {
         assert_eq!(fs::read(&path).unwrap(), b"old");
         assert_eq!(names(folder.path()), ["x"]);
         write_file(&path, |file| file.write_all(b"new")).unwrap();
+        assert_eq!(fs::read(&path).unwrap(), b"new");
+        assert_eq!(names(folder.path()), ["x"]);
+    }
+
+    #[test]
+    fn a_file_that_others_write_appears_when_it_is_finished() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("x");
+        fs::write(&path, "old").unwrap();
+        let dropped = NewFile::begin(&path).unwrap();
+        fs::write(dropped.path(), "lost").unwrap();
+        drop(dropped);
+        let file = NewFile::begin(&path).unwrap();
+        fs::write(file.path(), "new").unwrap();
+        assert_eq!(fs::read(&path).unwrap(), b"old");
+        file.finish().unwrap();
         assert_eq!(fs::read(&path).unwrap(), b"new");
         assert_eq!(names(folder.path()), ["x"]);
     }
@@ -267,11 +347,16 @@ mod tests {
         assert!(names(parent.path()).is_empty());
 
         let folder = NewFolder::begin(&target).unwrap();
-        fs::write(folder.path().join("a"), "1").unwrap();
+        let write = |name| folder.write(name, |file| file.write_all(b"1"));
+        write("a").unwrap();
+        write("b/c").unwrap();
+        let again = write("a").unwrap_err();
+        assert_eq!(again.kind(), io::ErrorKind::AlreadyExists);
         assert!(!target.exists());
         folder.finish().unwrap();
         assert_eq!(names(parent.path()), ["room"]);
-        assert_eq!(names(&target), ["a"]);
+        assert_eq!(names(&target), ["a", "b"]);
+        assert_eq!(fs::read(target.join("b/c")).unwrap(), b"1");
     }
 
     #[test]

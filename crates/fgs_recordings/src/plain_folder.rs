@@ -4,8 +4,7 @@
 //! a device's own poses, `device_poses.txt`. The folder gets its name once it is complete.
 
 use std::fmt::Write as _;
-use std::fs::{self, File};
-use std::io::{self, BufWriter, Write};
+use std::io::{self, Write};
 use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 
@@ -111,10 +110,6 @@ struct Folder<'a> {
 impl<'a> Folder<'a> {
     fn begin(target: &'a Path) -> Result<Self, WriteError> {
         let folder = NewFolder::begin(target).map_err(|source| refusal(target, source))?;
-        for name in ["rgb", "depth"] {
-            let path = folder.path().join(name);
-            fs::create_dir(&path).map_err(|source| refusal(&path, source))?;
-        }
         Ok(Self { target, folder })
     }
 
@@ -123,12 +118,8 @@ impl<'a> Folder<'a> {
         name: &str,
         encode: impl FnOnce(&mut dyn Write) -> Result<(), ImageError>,
     ) -> Result<(), WriteError> {
-        let attempt = || {
-            let mut file = BufWriter::new(File::create_new(self.folder.path().join(name))?);
-            encode(&mut file)?;
-            Ok(file.flush()?)
-        };
-        attempt().map_err(|error| WriteError::Io {
+        let written = self.folder.write(name, |file| encode(file));
+        written.map_err(|error| WriteError::Io {
             path: self.target.join(name),
             source: match error {
                 ImageError::IoError(source) => source,

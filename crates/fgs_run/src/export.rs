@@ -9,7 +9,7 @@ use std::str::FromStr;
 
 use fgs_data::Trajectory;
 use fgs_export::{
-    ExportError, Keyframe, Level, Mesh, TrainingSet, surface_mesh, surface_points, up_direction,
+    ExportError, Keyframe, Level, Mesh, TrainingSet, surface_mesh, surface_points,
     write_compressed_ply, write_kitti, write_mesh_glb, write_mesh_obj, write_mesh_ply,
     write_points, write_splat, write_splat_glb, write_splat_ply, write_spz,
 };
@@ -24,6 +24,7 @@ use crate::rescore::FinishedRun;
 use crate::run_folder::{CONFIG, RunFolder};
 use crate::run_result::RunResult;
 use crate::settings::Settings;
+use crate::up::up_of;
 
 /// The folder for exports, in that of the run.
 const EXPORTS: &str = "export";
@@ -197,7 +198,8 @@ impl ExportOptions {
         }
         let mut result = RunResult::read(&folder)?;
         if !self.raw_axes {
-            turn_level(&mut result)?;
+            let up = up_of(Some(folder.path()), result.finest_map(), &result.poses());
+            turn_level(&mut result, up)?;
         }
         let (path, what) = match &self.out {
             Some(out) => (out.clone(), self.write(&result, out, on_step)?),
@@ -248,7 +250,7 @@ impl ExportOptions {
         out: &Path,
         on_step: OnStep<'_>,
     ) -> Result<String, RunError> {
-        let map = result.refined.as_ref().unwrap_or(&result.gaussians);
+        let map = result.finest_map();
         let trajectory = &result.trajectory;
         match self.to {
             ExportFormat::Tum => write_file(out, |file| trajectory.encode(file))?,
@@ -347,18 +349,12 @@ fn counted(total: usize, on_step: OnStep<'_>) -> impl FnMut() -> ControlFlow<()>
 }
 
 /// Turns maps and poses so that floors are level.
-fn turn_level(result: &mut RunResult) -> Result<(), RunError> {
-    let poses = result.trajectory.poses();
-    let ups = poses
-        .iter()
-        .map(|pose| -(pose.world_from_camera.rotation * Vector3::y()));
-    let map = result.refined.as_ref().unwrap_or(&result.gaussians);
-    let level = Level::new(up_direction(map, ups.sum()));
+fn turn_level(result: &mut RunResult, up: Vector3<f64>) -> Result<(), RunError> {
+    let level = Level::new(up);
     result.gaussians = level.map(&result.gaussians);
     result.refined = result.refined.as_ref().map(|map| level.map(map));
-    let poses = poses
-        .iter()
-        .map(|pose| (pose.timestamp_secs, level.pose(&pose.world_from_camera)));
+    let poses = result.trajectory.poses().iter();
+    let poses = poses.map(|pose| (pose.timestamp_secs, level.pose(&pose.world_from_camera)));
     result.trajectory = Trajectory::new(poses)?;
     Ok(())
 }

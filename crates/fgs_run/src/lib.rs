@@ -64,6 +64,7 @@ mod run_result;
 mod score_values;
 mod scores;
 mod settings;
+mod up;
 
 pub use backend::{Backend, Model};
 pub use error::RunError;
@@ -85,8 +86,10 @@ pub use report::{comparison_page, write_report};
 pub use rescore::FinishedRun;
 pub use run_folder::{
     CONFIG, FRAMES, MAP, METRICS, PICTURES, REFERENCE, REFINED_MAP, REPORT, RunFolder, TRAJECTORY,
+    UP,
 };
 pub use run_result::RunResult;
 pub use score_values::Scores;
 pub use scores::{FrameErrors, SCORES, Score, Shown, Source, TrajectoryErrors};
 pub use settings::{COMMIT, RunSettings, Settings};
+pub use up::up_of;

@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::AtomicBool;
 
 use fgs_files::OutputFolder;
+use fgs_geom::Se3;
 use fgs_slam::{Execution, SavedSession, Slam};
 
 use crate::backend::Backend;
@@ -11,6 +12,7 @@ use crate::error::RunError;
 use crate::map_folder::{MapFolder, MapWriter};
 use crate::run_folder::MAP;
 use crate::run_result::write_map;
+use crate::up::{self, up_of};
 
 /// What to merge, and where to.
 #[derive(Clone, Debug)]
@@ -86,6 +88,11 @@ pub fn merge(options: &MergeOptions, stop: &AtomicBool) -> Result<Merged, RunErr
         source,
     })?;
     let map_bytes = write_map(&map, &staged, MAP)?;
+    let poses: Vec<Se3> = (output.keyframes.iter())
+        .map(|keyframe| keyframe.world_from_camera)
+        .collect();
+    // The first run's, whose axes these are, if it has found one.
+    up::save(&up_of(Some(first), &map, &poses), &staged)?;
     staged.finish()?;
     Ok(Merged {
         loops: output.loops,

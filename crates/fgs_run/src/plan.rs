@@ -323,7 +323,7 @@ impl Plan {
     ) -> Result<RunResult, RunError> {
         let result = drive(self, model, observer, stop)?;
         observer.on(&RunEvent::Mapped {
-            map: result.refined.as_ref().unwrap_or(&result.gaussians),
+            map: result.finest_map(),
         });
         self.conclude(result, observer, stop)
     }
@@ -376,6 +376,7 @@ impl Plan {
         write_errors.note(result.save_map(&results));
         write_errors.note(result.save_refined_map(&results));
         write_errors.note(result.save_further(&results));
+        write_errors.note(result.save_up(&results));
         write_errors.note(result.metrics.write(&results));
         if let Some(dataset) = self.dataset() {
             write_errors.note(pictures::write_samples(result, dataset, &results));

@@ -23,13 +23,15 @@ pub const REFINED_MAP: &str = "refined.ply";
 pub const CONFIG: &str = "config.effective.toml";
 /// The recording's ground truth in the run's coordinates, if there is any.
 pub const REFERENCE: &str = "reference.txt";
+/// Which way is up in the map's coordinates.
+pub const UP: &str = "up.txt";
 /// The page for people.
 pub const REPORT: &str = "report.html";
 /// Renders beside the input.
 pub const PICTURES: &str = "pictures";
 
 /// The files that a run leaves.
-const RESULTS: [&str; 8] = [
+const RESULTS: [&str; 9] = [
     METRICS,
     TRAJECTORY,
     REFERENCE,
@@ -37,6 +39,7 @@ const RESULTS: [&str; 8] = [
     MAP,
     REFINED_MAP,
     CONFIG,
+    UP,
     REPORT,
 ];
 

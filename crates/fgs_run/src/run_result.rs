@@ -9,6 +9,7 @@ use crate::error::RunError;
 use crate::frame_log::{self, FrameRow};
 use crate::metrics::Metrics;
 use crate::run_folder::{FRAMES, MAP, REFINED_MAP, RunFolder, TRAJECTORY, of_submap, write};
+use crate::up;
 
 /// A part of a recording that nothing connects to the largest, in axes of its own.
 #[derive(Debug)]
@@ -75,6 +76,17 @@ impl RunResult {
         self.trajectory.at(row.timestamp_secs?)
     }
 
+    /// The refined map if there is one, else the map.
+    pub fn finest_map(&self) -> &Gaussians {
+        self.refined.as_ref().unwrap_or(&self.gaussians)
+    }
+
+    /// The poses `world_from_camera` of the tracked frames in the largest sub-map, in their order.
+    pub fn poses(&self) -> Vec<Se3> {
+        let poses = self.trajectory.poses().iter();
+        poses.map(|pose| pose.world_from_camera).collect()
+    }
+
     /// Saves the poses.
     pub(crate) fn save_trajectory(&self, results: &StagedFolder<'_>) -> Result<(), RunError> {
         write(results, TRAJECTORY, |file| self.trajectory.encode(file)).map(drop)
@@ -107,6 +119,11 @@ impl RunResult {
             metrics.map_bytes = write_map(gaussians, results, REFINED_MAP)?;
         }
         Ok(())
+    }
+
+    /// Saves which way is up.
+    pub(crate) fn save_up(&self, results: &StagedFolder<'_>) -> Result<(), RunError> {
+        up::save(&up::find(self.finest_map(), &self.poses()), results)
     }
 
     /// Saves what became of each frame.

@@ -3,8 +3,7 @@
 //! A folder gets its final name only once it is complete, so a partial recording is never mistaken
 //! for a whole one.
 
-use std::fs;
-use std::io::{self, BufWriter, Write};
+use std::io::{self, Write};
 use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 
@@ -62,7 +61,7 @@ pub fn write_tum(
     dir: &Path,
     progress: impl FnMut(usize) -> ControlFlow<()>,
 ) -> Result<(), SynthError> {
-    let recording = Recording::begin(dir, &["rgb", "depth"])?;
+    let recording = Recording::begin(dir)?;
     let mut rgb = String::from("# color images\n# timestamp filename\n");
     let mut depth = String::from("# depth maps\n# timestamp filename\n");
     let mut poses = String::from("# ground truth trajectory\n# timestamp tx ty tz qx qy qz qw\n");
@@ -104,7 +103,7 @@ pub fn write_replica(
     dir: &Path,
     progress: impl FnMut(usize) -> ControlFlow<()>,
 ) -> Result<(), SynthError> {
-    let recording = Recording::begin(dir, &["results"])?;
+    let recording = Recording::begin(dir)?;
     let mut poses = String::new();
     for_each_frame(sequence, progress, |frame| {
         let index = frame.index.0;
@@ -202,12 +201,8 @@ struct Recording<'a> {
 }
 
 impl<'a> Recording<'a> {
-    fn begin(target: &'a Path, subfolders: &[&str]) -> Result<Self, SynthError> {
+    fn begin(target: &'a Path) -> Result<Self, SynthError> {
         let folder = NewFolder::begin(target).map_err(|source| refusal(target, source))?;
-        for subfolder in subfolders {
-            let path = folder.path().join(subfolder);
-            fs::create_dir(&path).map_err(|source| SynthError::Io { path, source })?;
-        }
         Ok(Self { target, folder })
     }
 
@@ -216,14 +211,9 @@ impl<'a> Recording<'a> {
         name: &str,
         encode: impl FnOnce(&mut dyn Write) -> image::ImageResult<()>,
     ) -> Result<(), SynthError> {
-        let path = self.folder.path().join(name);
-        let attempt = || -> image::ImageResult<()> {
-            let mut file = BufWriter::new(fs::File::create_new(&path)?);
-            encode(&mut file)?;
-            Ok(file.flush()?)
-        };
-        attempt().map_err(|error| SynthError::Io {
-            path: path.clone(),
+        let written = self.folder.write(name, |file| encode(file));
+        written.map_err(|error| SynthError::Io {
+            path: self.target.join(name),
             source: match error {
                 image::ImageError::IoError(source) => source,
                 other => io::Error::other(other),

@@ -14,6 +14,7 @@ use fgs_splat::Gaussians;
 use serde::Serialize;
 
 use crate::splat_chunks::{Patch, Sent, SplatChunks};
+use crate::watcher::Picture;
 
 /// So many frames are kept for those who come later: their part of the trajectory and of the plots.
 const MAX_FRAMES: usize = 20_000;
@@ -125,17 +126,6 @@ pub struct Scene {
     pictures: BTreeMap<Picture, (u64, Arc<[u8]>)>,
     pub splats: SplatChunks,
     is_over: bool,
-}
-
-/// The pictures of the page; their numbers are part of the stream's format.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-#[repr(u8)]
-pub enum Picture {
-    Input = 0,
-    Render = 1,
-    Depth = 2,
-    RenderedDepth = 3,
-    Addition = 4,
 }
 
 impl Scene {

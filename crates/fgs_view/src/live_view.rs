@@ -1,45 +1,27 @@
-//! Looks on while a run works, and keeps what a live page shows.
-//!
-//! It must not hold the run up. It has a thread and a bounded queue of its own; without a browser it
-//! only notes frames and keyframes. With one it asks for a map and a frame's images now and then, and then
-//! rests for many times as long as it took to draw them.
+//! Keeps what a live page shows of a run at work.
 
-use std::borrow::Cow;
-use std::collections::{BTreeMap, VecDeque};
+use std::collections::BTreeMap;
 use std::io;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
-use std::thread::{self, JoinHandle};
+use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-use crossbeam_channel::RecvTimeoutError;
-use fgs_data::Trajectory;
-use fgs_export::up_direction;
-use fgs_geom::{Camera, KeyframeId, RgbdFrame, Se3, View};
-use fgs_slam::{Addition, FrameResult, Slam, SlamEvent, Subscription};
+use fgs_geom::{Camera, KeyframeId, Se3};
+use fgs_slam::{Addition, FrameResult, Slam};
 use fgs_splat::Gaussians;
 use nalgebra::Vector3;
-use rayon::ThreadPool;
 use serde::Serialize;
 
 use crate::live_state::{
-    AdditionNote, FrameNote, KeyframeNote, LiveState, Phase, Picture, PoseNote, RenderNote,
+    AdditionNote, FrameNote, KeyframeNote, LiveState, Phase, PoseNote, RenderNote,
 };
 use crate::page::{made, page};
 use crate::pictures;
 use crate::server::{Listener, Server};
 use crate::site::half_extent;
+use crate::watcher::{Audience, Picture, Render, watch};
 
-/// Room for a second or two; then events are missed.
-const QUEUE: usize = 256;
-/// Drawing takes at most one part in so many of this thread's time.
-const REST: u32 = 15;
-/// Nobody needs news of the map more often.
-const MIN_REST: Duration = Duration::from_millis(700);
-/// How often to see whether somebody looks on.
-const POLL: Duration = Duration::from_millis(100);
-/// So many poses tell how the camera moves.
-const POSES: usize = 3;
 /// What to wait at the end for slow networks.
 const FAREWELL: Duration = Duration::from_secs(5);
 
@@ -48,7 +30,7 @@ pub struct LiveView {
     state: Arc<LiveState>,
     server: Server,
     total: usize,
-    thread: Option<JoinHandle<()>>,
+    thread: Option<JoinHandle<Viewers>>,
 }
 
 /// What the page knows from the start: `scene.json`.
@@ -101,27 +83,15 @@ impl LiveView {
     /// # Errors
     /// If no thread starts.
     pub fn watch(&mut self, session: &Slam) -> io::Result<()> {
-        let watcher = Watcher {
+        let viewers = Viewers {
             state: Arc::clone(&self.state),
-            events: session.subscribe(QUEUE),
-            threads: rayon::ThreadPoolBuilder::new()
-                .num_threads(1)
-                .thread_name(|_| "live".into())
-                .build()
-                .map_err(io::Error::other)?,
             start: Instant::now(),
             total: self.total,
             frames: 0,
             keyframes: BTreeMap::new(),
             newest: None,
-            poses: VecDeque::new(),
-            cameras_up: Vector3::zeros(),
-            map: Arc::default(),
-            up_of: 0,
-            photographed: None,
         };
-        let thread = thread::Builder::new().name("live view".into());
-        self.thread = Some(thread.spawn(move || watcher.look_on())?);
+        self.thread = Some(watch(session, viewers)?);
         Ok(())
     }
 
@@ -148,98 +118,26 @@ impl LiveView {
     }
 }
 
-/// The thread that looks on.
-struct Watcher {
+/// Those who look on in browsers.
+struct Viewers {
     state: Arc<LiveState>,
-    events: Subscription,
-    /// One: the run needs the others.
-    threads: ThreadPool,
     start: Instant,
     total: usize,
     frames: usize,
     keyframes: BTreeMap<u32, Se3>,
     newest: Option<u32>,
-    /// The last poses, with their times: how the camera moves.
-    poses: VecDeque<(f64, Se3)>,
-    /// Sum of the cameras' -y axes.
-    cameras_up: Vector3<f64>,
-    map: Arc<Gaussians>,
-    /// How many gaussians the map had when it was last found out which way is up.
-    up_of: usize,
-    /// Images that have no render yet.
-    photographed: Option<(Arc<RgbdFrame>, Se3)>,
 }
 
-impl Watcher {
-    fn look_on(mut self) {
-        let mut next = Instant::now();
-        loop {
-            match self.events.events().recv_timeout(POLL) {
-                Ok(event) => {
-                    let start = Instant::now();
-                    let took_long = self.note(event);
-                    if took_long {
-                        next = next.max(Instant::now() + MIN_REST.max(REST * start.elapsed()));
-                    }
-                }
-                Err(RecvTimeoutError::Timeout) => {}
-                Err(RecvTimeoutError::Disconnected) => return,
-            }
-            if self.state.is_watched() && Instant::now() >= next {
-                self.events.request_images();
-                self.events.request_addition();
-                self.events.request_snapshot();
-                // Whatever comes of it sets the time anew.
-                next = Instant::now() + MIN_REST;
-            }
-        }
-    }
-
-    /// Takes an event over; whether there was something to draw.
-    fn note(&mut self, event: SlamEvent) -> bool {
-        match event {
-            SlamEvent::Frame {
-                result,
-                error,
-                num_gaussians,
-                steps,
-            } => self.frame(&result, error, num_gaussians, steps),
-            SlamEvent::Correction(poses) => self.correct(&poses),
-            SlamEvent::Loop { from, to } => {
-                self.state.change(|scene| scene.add_loop(from.0, to.0));
-            }
-            SlamEvent::Refined { done, steps } => self.state.change(|scene| {
-                scene.set_phase(Phase {
-                    name: "refining",
-                    done,
-                    total: steps,
-                    ..Phase::default()
-                });
-            }),
-            SlamEvent::Images(frame) => {
-                let last = self.poses.back();
-                let pose = last.filter(|(secs, _)| *secs == frame.timestamp_secs);
-                self.photographed = pose.map(|(_, pose)| (frame, *pose));
-            }
-            SlamEvent::Snapshot(map) => {
-                self.map = map;
-                self.draw();
-                return true;
-            }
-            SlamEvent::Addition(addition) => {
-                self.addition(&addition);
-                return true;
-            }
-            _ => {}
-        }
-        false
+impl Audience for Viewers {
+    fn is_watching(&self) -> bool {
+        self.state.is_watched()
     }
 
     fn frame(
         &mut self,
         result: &FrameResult,
-        error: Option<String>,
-        gaussians: usize,
+        error: Option<&str>,
+        num_gaussians: usize,
         steps: usize,
     ) {
         self.frames += 1;
@@ -253,13 +151,6 @@ impl Watcher {
                 pose: PoseNote::from(&pose),
             };
             self.state.change(|scene| scene.put_keyframe(note));
-        }
-        if let Some((secs, pose)) = result.timestamp_secs.zip(result.world_from_camera) {
-            self.poses.push_back((secs, pose));
-            if self.poses.len() > POSES {
-                self.poses.pop_front();
-            }
-            self.cameras_up -= pose.rotation * Vector3::y();
         }
         let anchor = self
             .newest
@@ -282,9 +173,9 @@ impl Watcher {
             residual_mm: tracking.map(|tracking| 1e3 * tracking.residual_m),
             points: tracking.map(|tracking| tracking.points),
             inliers: tracking.map(|tracking| tracking.inliers),
-            gaussians,
+            gaussians: num_gaussians,
             steps,
-            error,
+            error: error.map(str::to_owned),
         };
         let pose = result.world_from_camera.as_ref().map(PoseNote::from);
         let phase = Phase {
@@ -299,7 +190,7 @@ impl Watcher {
         });
     }
 
-    fn correct(&mut self, poses: &[(KeyframeId, Se3)]) {
+    fn corrected(&mut self, poses: &[(KeyframeId, Se3)]) {
         for (id, pose) in poses {
             self.keyframes.insert(id.0, *pose);
         }
@@ -312,68 +203,48 @@ impl Watcher {
         });
     }
 
-    /// Shows the map, and what it looks like where the last images were taken.
-    fn draw(&mut self) {
-        // A direction that is found once the map shows more of the room is a better one.
-        if self.map.len() > self.up_of + self.up_of / 4 {
-            self.up_of = self.map.len();
-            let up = up_direction(&self.map, self.cameras_up);
-            self.state.change(|scene| scene.set_up([up.x, up.y, up.z]));
-        }
-        self.state
-            .change(|scene| scene.splats.update(&self.map, false));
-        let Some((frame, world_from_camera)) = self.photographed.take() else {
-            return;
-        };
-        let size = pictures::small(&frame.camera);
-        let view = View {
-            camera: size,
-            world_from_camera,
-        };
-        let rendered = self.threads.install(|| pictures::render(&self.map, &view));
-        let photograph = pictures::color(&self.synchronized(&frame).color, &size);
-        let shown = pictures::rendered_color(&rendered);
-        let depth_m = pictures::small_depth(&frame.depth_m, &size);
-        let range = pictures::depth_range(&depth_m);
-        let note = RenderNote {
-            index: frame.index.0,
-            psnr_db: pictures::psnr_db(&frame, &photograph, &shown, &size),
-        };
-        let depth = pictures::depth_colors(&depth_m, range);
-        let rendered_depth = pictures::rendered_depth(&rendered);
-        let rendered_depth = pictures::depth_colors(&rendered_depth, range);
-        let all = [
-            (Picture::Input, photograph),
-            (Picture::Render, shown),
-            (Picture::Depth, depth),
-            (Picture::RenderedDepth, rendered_depth),
-        ]
-        .map(|(picture, pixels)| (picture, pictures::jpeg(&pixels)));
+    fn closed_loop(&mut self, from: KeyframeId, to: KeyframeId) {
+        self.state.change(|scene| scene.add_loop(from.0, to.0));
+    }
+
+    fn refined(&mut self, done: usize, total: usize) {
         self.state.change(|scene| {
-            scene.add_render(note);
-            for (picture, jpeg) in all {
+            scene.set_phase(Phase {
+                name: "refining",
+                done,
+                total,
+                ..Phase::default()
+            });
+        });
+    }
+
+    fn found_up(&mut self, up: Vector3<f64>) {
+        self.state.change(|scene| scene.set_up(up.into()));
+    }
+
+    fn map(&mut self, map: &Gaussians) {
+        self.state.change(|scene| scene.splats.update(map, false));
+    }
+
+    fn rendered(&mut self, render: Render) {
+        self.state.change(|scene| {
+            scene.add_render(RenderNote {
+                index: render.index.0,
+                psnr_db: render.psnr_db,
+            });
+            for (picture, jpeg) in render.pictures {
                 scene.put_picture(picture, jpeg);
             }
         });
     }
 
-    /// A frame as the camera would have taken it with all rows at once, if it is known how it moved.
-    fn synchronized<'a>(&self, frame: &'a RgbdFrame) -> Cow<'a, RgbdFrame> {
-        let way = Trajectory::new(self.poses.iter().copied());
-        way.map_or(Cow::Borrowed(frame), |way| way.synchronized(frame))
-    }
-
-    fn addition(&self, addition: &Addition) {
-        let size = pictures::small(&addition.frame.camera);
-        let (detail, missing) = (&addition.detail, &addition.missing);
-        let picture = pictures::addition(&addition.frame.color, detail, missing, &size);
+    fn added(&mut self, addition: &Addition, jpeg: Vec<u8>) {
         let note = AdditionNote {
             index: addition.frame.index.0,
             seeds: addition.seeds,
-            detail: pictures::share(detail),
-            missing: pictures::share(missing),
+            detail: pictures::share(&addition.detail),
+            missing: pictures::share(&addition.missing),
         };
-        let jpeg = pictures::jpeg(&picture);
         self.state.change(|scene| {
             scene.add_addition(note);
             scene.put_picture(Picture::Addition, jpeg);

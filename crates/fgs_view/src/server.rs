@@ -382,7 +382,7 @@ mod tests {
             scene.splats.update(&map, false);
             scene.add_loop(1, 2);
             scene.set_up([0.0, 0.0, 1.0]);
-            scene.put_picture(crate::live_state::Picture::Depth, vec![7; 10]);
+            scene.put_picture(crate::watcher::Picture::Depth, vec![7; 10]);
         });
         live.end(Some(&map), "over".into());
         let (ok, body) = ask(&server, "GET /stream", "");

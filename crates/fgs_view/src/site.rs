@@ -3,7 +3,7 @@
 use std::io;
 use std::ops::ControlFlow;
 
-use fgs_export::{up_direction, write_splat};
+use fgs_export::write_splat;
 use fgs_files::StagedFolder;
 use fgs_geom::{Camera, RgbdFrame, Se3, View};
 use fgs_slam::KeyframeKind;
@@ -88,7 +88,7 @@ struct SceneKeyframe {
 }
 
 impl Site {
-    /// Of a map, with the poses of its camera in order and its keyframes; some of these, evenly spread, have
+    /// Of a map in which `up` is upward, with the poses of its camera in order and its keyframes; some of these, evenly spread, have
     /// pictures, if there is a camera.
     ///
     /// # Errors
@@ -96,15 +96,11 @@ impl Site {
     pub fn new(
         summary: &Summary,
         map: &Gaussians,
+        up: Vector3<f64>,
         poses: &[Se3],
         keyframes: &[SiteKeyframe],
         mut pictures: Option<KeyframePictures<'_>>,
     ) -> io::Result<Self> {
-        let cameras_up: Vector3<f64> = poses
-            .iter()
-            .map(|pose| -(pose.rotation * Vector3::y()))
-            .sum();
-        let up = up_direction(map, cameras_up);
         let mut files = page();
         let stride = keyframes.len().div_ceil(MAX_PICTURES).max(1);
         let mut shown = Vec::new();
