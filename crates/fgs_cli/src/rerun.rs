@@ -7,6 +7,8 @@ use fgs_data::Trajectory;
 use fgs_rerun::{Outcome, Outputs, RerunError, RerunView};
 use fgs_run::{Plan, REFERENCE, RunError, RunResult};
 
+use crate::view;
+
 /// The options.
 #[derive(Debug, Args)]
 pub struct Rerun {
@@ -42,8 +44,10 @@ pub fn end(
 ) -> Result<(), RerunError> {
     // Whether there is one depends on the recording.
     let reference = Trajectory::read(&plan.folder.path().join(REFERENCE)).ok();
+    let keyframes = result.as_ref().map_or(Vec::new(), view::keyframes);
     let outcome = result.as_ref().ok().map(|result| Outcome {
         map: result.finest_map(),
+        keyframes: &keyframes,
         trajectory: &result.trajectory,
         reference: reference.as_ref(),
     });

@@ -12,8 +12,8 @@ use clap::Args;
 use fgs_data::Trajectory;
 use fgs_geom::{Camera, RgbdFrame, Se3};
 use fgs_run::{
-    CONFIG, FinishedRun, MAP, MapFolder, OutputFolder, REFINED_MAP, RunError, RunFolder, RunResult,
-    Settings, TRAJECTORY, recording_name, up_of,
+    CONFIG, FinishedRun, FrameRow, MAP, MapFolder, OutputFolder, REFINED_MAP, RunError, RunFolder,
+    RunResult, Settings, TRAJECTORY, recording_name, up_of,
 };
 use fgs_splat::Gaussians;
 use fgs_view::{Address, KeyframePictures, Site, SiteKeyframe, Summary};
@@ -111,16 +111,7 @@ fn of_run(folder: &RunFolder, stop: &AtomicBool) -> anyhow::Result<Site> {
     let settings = Settings::read(&folder.join(CONFIG))?;
     let poses = result.poses();
     let up = up_of(Some(path), map, &poses);
-    let rows = result.rows.iter().filter(|row| row.keyframe.is_some());
-    let keyframes: Vec<SiteKeyframe> = rows
-        .filter_map(|row| {
-            Some(SiteKeyframe {
-                index: row.index,
-                kind: row.keyframe,
-                world_from_camera: result.pose(row)?,
-            })
-        })
-        .collect();
+    let keyframes = keyframes(&result);
     let finished = FinishedRun::open(path, None).ok();
     let mut photograph = |place: usize| {
         let index = keyframes.get(place)?.index;
@@ -135,6 +126,19 @@ fn of_run(folder: &RunFolder, stop: &AtomicBool) -> anyhow::Result<Site> {
         numbers: numbers(&result),
     };
     with_pictures(&summary, (map, up), &poses, &keyframes, pictures, stop)
+}
+
+/// The keyframes that have a pose in the largest sub-map.
+pub fn keyframes(result: &RunResult) -> Vec<SiteKeyframe> {
+    let rows = result.rows.iter().filter(|row| row.keyframe.is_some());
+    let keyframe = |row: &FrameRow| {
+        Some(SiteKeyframe {
+            index: row.index,
+            kind: row.keyframe,
+            world_from_camera: result.pose(row)?,
+        })
+    };
+    rows.filter_map(keyframe).collect()
 }
 
 /// Pages of a map's last checkpoint. Its folder has the keyframes' photographs; the camera's path is drawn

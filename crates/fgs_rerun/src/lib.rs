@@ -8,7 +8,7 @@
 //! | `world` | the first camera: x right, y down, z forward, metres | |
 //! | `world/camera`, `world/camera/image` | the camera of each frame, its frustum and image | of the camera |
 //! | `world/map` | the gaussians | of the world |
-//! | `world/keyframes/tracking/N`, `.../mapping/N` | keyframe N | of the keyframe |
+//! | `world/keyframes/tracking/N`, `.../mapping/N` | the keyframe that frame N became | of the keyframe |
 //! | `world/graph/edges`, `world/graph/loops` | successive keyframes; those that a loop joined | of the world |
 //! | `world/trajectory`, `world/reference` | the way of the camera, and the recording's own | of the world |
 //! | `pictures/*` | render, depth, the render's depth, and what a keyframe adds to the map | |

@@ -7,7 +7,7 @@ use fgs_export::unit_quat;
 use fgs_geom::{Camera, KeyframeId, Se3};
 use fgs_slam::{Addition, FrameResult, FrameStatus, KeyframeKind};
 use fgs_splat::Gaussians;
-use fgs_view::{Audience, Picture, Render, picture_camera};
+use fgs_view::{Audience, Picture, Render, SiteKeyframe, picture_camera};
 use nalgebra::Vector3;
 use re_sdk::{AsComponents, RecordingStream, RecordingStreamError, RecordingStreamResult};
 use re_sdk_types::archetypes::{
@@ -95,17 +95,18 @@ struct Seen {
     index: usize,
     secs: f64,
     /// Its position in a keyframe's axes: it moves with it.
-    position: Option<(u32, Vector3<f64>)>,
+    position: Option<(usize, Vector3<f64>)>,
 }
 
 /// Writes a run into a stream.
 pub struct Recorder {
     stream: RecordingStream,
     camera: Camera,
-    keyframes: BTreeMap<u32, Keyframe>,
-    newest: Option<u32>,
+    /// By the numbers of their frames.
+    keyframes: BTreeMap<usize, Keyframe>,
+    frame_of: BTreeMap<KeyframeId, usize>,
     frames: Vec<Seen>,
-    loops: Vec<[u32; 2]>,
+    loops: Vec<[KeyframeId; 2]>,
     status: Option<FrameStatus>,
     map_growth: Growth,
     way_growth: Growth,
@@ -127,7 +128,7 @@ impl Recorder {
             stream,
             camera,
             keyframes: BTreeMap::new(),
-            newest: None,
+            frame_of: BTreeMap::new(),
             frames: Vec::new(),
             loops: Vec::new(),
             status: None,
@@ -141,14 +142,17 @@ impl Recorder {
     /// Writes what is known at the end, and returns the stream.
     pub fn end(mut self, outcome: Option<&Outcome<'_>>) -> RecordingStreamResult<RecordingStream> {
         self.now();
-        self.draw_graph();
         if let Some(outcome) = outcome {
             self.show(outcome);
         }
+        self.draw_graph();
         self.failure.map_or(Ok(self.stream), Err)
     }
 
     fn show(&mut self, outcome: &Outcome<'_>) {
+        for keyframe in outcome.keyframes {
+            self.conclude_keyframe(keyframe);
+        }
         self.log("world/map", &splats(outcome.map));
         let way = |trajectory: &Trajectory| -> Vec<Vector3<f64>> {
             let poses = trajectory.poses().iter();
@@ -200,26 +204,41 @@ impl Recorder {
         self.at(self.frames.partition_point(|frame| frame.index < index));
     }
 
-    fn put_keyframe(&mut self, id: u32) {
-        let Some(keyframe) = self.keyframes.get(&id) else {
-            return;
-        };
-        let path = format!("world/keyframes/{}/{id}", keyframe.kind);
-        let pose = transform(&keyframe.world_from_camera);
-        self.log(path, &pose);
+    fn put_keyframe(&mut self, frame: usize) {
+        if let Some(keyframe) = self.keyframes.get(&frame) {
+            let pose = transform(&keyframe.world_from_camera);
+            self.log(keyframe_path(frame, keyframe.kind), &pose);
+        }
     }
 
-    fn add_keyframe(&mut self, id: u32, keyframe: Keyframe) {
+    fn add_keyframe(&mut self, frame: usize, keyframe: Keyframe) {
         let color = match keyframe.kind {
             KeyframeKind::Tracking => TRACKING_COLOR,
             KeyframeKind::Mapping => MAPPING_COLOR,
         };
-        let path = format!("world/keyframes/{}/{id}", keyframe.kind);
-        self.keyframes.insert(id, keyframe);
-        self.newest = Some(id);
-        self.put_keyframe(id);
+        let path = keyframe_path(frame, keyframe.kind);
+        self.keyframes.insert(frame, keyframe);
+        self.put_keyframe(frame);
         let frustum = pinhole(&self.camera, KEYFRAME_SIZE_M).with_color(color);
         self.log(path, &frustum);
+    }
+
+    /// Takes over a keyframe's final pose. The last frame became one after all had been told of it.
+    fn conclude_keyframe(&mut self, conclusion: &SiteKeyframe) {
+        let (frame, world_from_camera) = (conclusion.index, conclusion.world_from_camera);
+        if let Some(keyframe) = self.keyframes.get_mut(&frame) {
+            keyframe.world_from_camera = world_from_camera;
+            self.put_keyframe(frame);
+        } else if let Some(kind) = conclusion.kind {
+            let before = self.keyframes.range(..frame).next_back();
+            let submap = before.and_then(|(_, keyframe)| keyframe.submap);
+            let keyframe = Keyframe {
+                kind,
+                world_from_camera,
+                submap,
+            };
+            self.add_keyframe(frame, keyframe);
+        }
     }
 
     /// Draws what connects the keyframes.
@@ -231,7 +250,10 @@ impl Recorder {
             vec![a, b]
         };
         let edges = lines(keyframes.windows(2).filter(together).map(edge), EDGE_COLOR);
-        let position = |id: &u32| Some(self.keyframes.get(id)?.world_from_camera.translation);
+        let position = |id: &KeyframeId| {
+            let keyframe = self.keyframes.get(self.frame_of.get(id)?)?;
+            Some(keyframe.world_from_camera.translation)
+        };
         let loops = self.loops.iter();
         let loops = loops.filter_map(|[from, to]| Some(vec![position(from)?, position(to)?]));
         let loops = lines(loops, LOOP_COLOR);
@@ -267,11 +289,9 @@ impl Audience for Recorder {
         let keyframe = result.keyframe.zip(pose);
         // A keyframe is the anchor of its own frame.
         let anchor = match keyframe {
-            Some(((id, _), pose)) => Some((id.0, pose)),
-            None => self.newest.and_then(|id| {
-                let keyframe = self.keyframes.get(&id)?;
-                Some((id, keyframe.world_from_camera))
-            }),
+            Some((_, pose)) => Some((result.index.0, pose)),
+            None => (self.keyframes.last_key_value())
+                .map(|(frame, keyframe)| (*frame, keyframe.world_from_camera)),
         };
         let position = anchor
             .zip(pose)
@@ -292,7 +312,8 @@ impl Audience for Recorder {
                 world_from_camera,
                 submap: result.submap,
             };
-            self.add_keyframe(id.0, keyframe);
+            self.frame_of.insert(id, result.index.0);
+            self.add_keyframe(result.index.0, keyframe);
         }
         let tracking = result.tracking.as_ref();
         self.plot(
@@ -325,17 +346,18 @@ impl Audience for Recorder {
     fn corrected(&mut self, poses: &[(KeyframeId, Se3)]) {
         self.now();
         for (id, pose) in poses {
-            if let Some(keyframe) = self.keyframes.get_mut(&id.0)
+            if let Some(frame) = self.frame_of.get(id).copied()
+                && let Some(keyframe) = self.keyframes.get_mut(&frame)
                 && keyframe.world_from_camera != *pose
             {
                 keyframe.world_from_camera = *pose;
-                self.put_keyframe(id.0);
+                self.put_keyframe(frame);
             }
         }
     }
 
     fn closed_loop(&mut self, from: KeyframeId, to: KeyframeId) {
-        self.loops.push([from.0, to.0]);
+        self.loops.push([from, to]);
         self.now();
         let text = format!("keyframe {} shows what keyframe {} shows", to.0, from.0);
         self.log("log", &TextLog::new(text).with_level(TextLogLevel::INFO));
@@ -370,6 +392,11 @@ impl Audience for Recorder {
             self.log(picture_path(named), &EncodedImage::from_file_contents(jpeg));
         }
     }
+}
+
+/// Where a keyframe is.
+fn keyframe_path(frame: usize, kind: KeyframeKind) -> String {
+    format!("world/keyframes/{kind}/{frame}")
 }
 
 fn point(position: &Vector3<f64>) -> [f32; 3] {

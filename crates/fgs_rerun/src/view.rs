@@ -12,7 +12,7 @@ use fgs_files::NewFile;
 use fgs_geom::Camera;
 use fgs_slam::Slam;
 use fgs_splat::Gaussians;
-use fgs_view::watch;
+use fgs_view::{SiteKeyframe, watch};
 use re_sdk::sink::{FileSink, GrpcSink, LogSink};
 use re_sdk::{DEFAULT_SERVER_PORT, RecordingStreamBuilder};
 
@@ -61,6 +61,8 @@ impl Outputs {
 pub struct Outcome<'a> {
     /// The map.
     pub map: &'a Gaussians,
+    /// All keyframes.
+    pub keyframes: &'a [SiteKeyframe],
     /// The poses of all tracked frames.
     pub trajectory: &'a Trajectory,
     /// Those of the recording, moved to the run's coordinates.

@@ -14,6 +14,7 @@ use fgs_rerun::{Outcome, Outputs, RerunError, RerunView};
 use fgs_slam::{Execution, Slam, SlamConfig, SlamOutput, drive, model_settings};
 use fgs_splat::CpuModel;
 use fgs_synth::{SensorModel, Sequence, kinect_camera};
+use fgs_view::SiteKeyframe;
 use re_log_encoding::DecoderApp;
 use re_sdk::log::{Chunk, LogMsg};
 use re_sdk_types::archetypes::{EncodedImage, GaussianSplats3D, LineStrips3D, Transform3D};
@@ -51,7 +52,15 @@ fn run(path: &Path) -> (SlamOutput, Trajectory) {
     let poses = output.frames.iter();
     let poses = poses.filter_map(|frame| Some((frame.timestamp_secs?, frame.world_from_camera?)));
     let trajectory = Trajectory::new(poses).unwrap();
+    let keyframes: Vec<SiteKeyframe> = (output.keyframes.iter())
+        .map(|keyframe| SiteKeyframe {
+            index: keyframe.index.0,
+            kind: Some(keyframe.kind),
+            world_from_camera: keyframe.world_from_camera,
+        })
+        .collect();
     let outcome = Outcome {
+        keyframes: &keyframes,
         map: &output.gaussians,
         trajectory: &trajectory,
         reference: Some(&trajectory),

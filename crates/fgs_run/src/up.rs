@@ -30,7 +30,7 @@ pub(crate) fn find(map: &Gaussians, poses: &[Se3]) -> Vector3<f64> {
 
 /// Saves it among results.
 pub(crate) fn save(up: &Vector3<f64>, results: &StagedFolder<'_>) -> Result<(), RunError> {
-    let [x, y, z] = [up.x, up.y, up.z];
+    let [x, y, z]: [f64; 3] = (*up).into();
     write(results, UP, |file| writeln!(file, "{x:?} {y:?} {z:?}")).map(drop)
 }
 
