@@ -41,7 +41,7 @@ fn read(folder: &Path) -> Option<Vector3<f64>> {
     let numbers: [f64; 3] = numbers.collect::<Option<Vec<_>>>()?.try_into().ok()?;
     let up = Vector3::from(numbers);
     // What it was saved with.
-    ((up.norm() - 1.0).abs() < 1e-6).then(|| up.normalize())
+    ((up.norm() - 1.0).abs() < 1e-6).then_some(up)
 }
 
 #[cfg(test)]
