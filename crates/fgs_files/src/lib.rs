@@ -163,8 +163,15 @@ impl NewFolder {
         content: impl FnOnce(&mut BufWriter<File>) -> Result<(), E>,
     ) -> Result<(), E> {
         let path = self.path().join(name);
-        if let Some(parent) = path.parent() {
-            fs::create_dir_all(parent)?;
+        // One by one: should the folder itself be gone, it must not come back without its files.
+        let mut folder = self.path().to_owned();
+        for part in Path::new(name).parent().into_iter().flatten() {
+            folder.push(part);
+            if let Err(error) = fs::create_dir(&folder)
+                && error.kind() != io::ErrorKind::AlreadyExists
+            {
+                return Err(error.into());
+            }
         }
         let mut file = BufWriter::new(File::create_new(path)?);
         content(&mut file)?;
