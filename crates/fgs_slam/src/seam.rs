@@ -7,7 +7,7 @@
 use std::cmp::Reverse;
 use std::collections::{BTreeMap, BTreeSet};
 
-use fgs_geom::{KeyframeId, View};
+use fgs_geom::{Camera, KeyframeId, View};
 use fgs_graph::KeyframeGraph;
 use fgs_splat::{Gaussians, Rasterizer, Rendered, SavedModel};
 use nalgebra::Vector3;
@@ -85,8 +85,16 @@ impl Seam {
             };
             let pass = rasterizer.render(&earlier, &view);
             let shown = pass.rendered();
-            let is_repeated =
-                |i: &&usize| shows(shown, &view, &model.gaussians.means[**i], min_alpha);
+            let camera_from_world = world_from_camera.inverse();
+            let is_repeated = |i: &&usize| {
+                let mean = Vector3::from(model.gaussians.means[**i]).cast();
+                shows(
+                    shown,
+                    &camera,
+                    &camera_from_world.transform(&mean),
+                    min_alpha,
+                )
+            };
             repeated.par_extend(sown.par_iter().filter(is_repeated).copied());
         }
         repeated.sort_unstable();
@@ -105,13 +113,12 @@ impl Seam {
     }
 }
 
-/// Whether a render shows a surface where a point is.
-fn shows(rendered: &Rendered, view: &View, point: &[f32; 3], min_alpha: f32) -> bool {
-    let point = (view.world_from_camera.inverse()).transform(&Vector3::from(*point).cast());
-    let Some(pixel) = view.camera.project(&point) else {
+/// Whether a camera's render shows a surface where a point is, in the camera's axes.
+fn shows(rendered: &Rendered, camera: &Camera, point: &Vector3<f64>, min_alpha: f32) -> bool {
+    let Some(pixel) = camera.project(point) else {
         return false;
     };
-    if !view.camera.contains(&pixel) {
+    if !camera.contains(&pixel) {
         return false;
     }
     let (u, v) = (pixel.x.round() as usize, pixel.y.round() as usize);
@@ -120,7 +127,7 @@ fn shows(rendered: &Rendered, view: &View, point: &[f32; 3], min_alpha: f32) -> 
     rendered.alpha.at(u, v) >= min_alpha && difference <= MAX_DEPTH_DIFFERENCE * depth_m
 }
 
-/// The views that showed the most of some gaussians, each its number of them.
+/// The views that showed the most of some gaussians, the one with the most first.
 pub fn views_of(model: &SavedModel, gaussians: &[usize]) -> Vec<KeyframeId> {
     let shown = |visible: &[u32]| {
         let is_shown = |i: &&usize| {
@@ -144,7 +151,7 @@ pub fn views_of(model: &SavedModel, gaussians: &[usize]) -> Vec<KeyframeId> {
 
 #[cfg(test)]
 mod tests {
-    use fgs_geom::{Camera, Intrinsics, Se3};
+    use fgs_geom::{Intrinsics, Se3};
     use fgs_splat::{Adam, Gaussian, SavedView, SparseId};
 
     use super::*;

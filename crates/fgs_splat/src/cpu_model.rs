@@ -141,6 +141,9 @@ impl GaussianModel for CpuModel {
     }
 
     fn remove(&mut self, indices: &[usize]) -> Result<(), ModelError> {
+        if indices.is_empty() {
+            return Ok(());
+        }
         for i in indices {
             if let Some(logit) = self.gaussians.opacity_logits.get_mut(*i) {
                 *logit = f32::NAN;

@@ -162,8 +162,8 @@ pub trait GaussianModel: Send {
     /// If the device fails.
     fn prune(&mut self, rule: &PruneRule) -> Result<(), ModelError>;
 
-    /// Removes gaussians by their index in [`save`](Self::save), and those whose opacity or scales are NaN.
-    /// An index beyond the last is ignored. Waits for the device.
+    /// Removes gaussians by their index in [`save`](Self::save), and with them those whose opacity or scales
+    /// are NaN; without an index, nothing. One beyond the last is ignored. Waits for the device.
     ///
     /// # Errors
     /// If the device fails.

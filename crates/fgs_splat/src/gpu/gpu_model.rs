@@ -194,7 +194,7 @@ impl GaussianModel for GpuModel {
 
     fn remove(&mut self, indices: &[usize]) -> Result<(), ModelError> {
         self.work.finish()?;
-        if self.is_empty() {
+        if self.is_empty() || indices.is_empty() {
             return Ok(());
         }
         self.work.map.mark_unwanted(indices)?;
