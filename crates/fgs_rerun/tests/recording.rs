@@ -8,6 +8,8 @@ use std::fs::{self, File};
 use std::io::BufReader;
 use std::path::Path;
 use std::sync::atomic::AtomicBool;
+use std::thread::sleep;
+use std::time::Duration;
 
 use fgs_data::Trajectory;
 use fgs_rerun::{Outcome, Outputs, RerunError, RerunView};
@@ -21,6 +23,9 @@ use re_sdk_types::archetypes::{EncodedImage, GaussianSplats3D, LineStrips3D, Tra
 use re_sdk_types::components::LineStrip3D;
 
 const FRAMES: usize = 8;
+
+/// Before each frame. All of them take several times as long as it takes to ask for pictures again.
+const PAUSE: Duration = Duration::from_millis(300);
 
 /// What a file holds of each entity.
 fn chunks(path: &Path) -> BTreeMap<String, Vec<Chunk>> {
@@ -46,7 +51,11 @@ fn run(path: &Path) -> (SlamOutput, Trajectory) {
     let mut view = RerunView::start(outputs, "room", &camera).unwrap();
     view.watch(&slam).unwrap();
     assert!(!path.exists());
-    let frames = (0..FRAMES).map(|i| Ok::<_, std::io::Error>(room.frame(i)));
+    let frames = (0..FRAMES).map(|i| {
+        // Pictures are asked for now and then, and come with the next frame.
+        sleep(PAUSE);
+        Ok::<_, std::io::Error>(room.frame(i))
+    });
     drive(&mut slam, frames, &AtomicBool::new(false));
     let output = slam.finish();
     let poses = output.frames.iter();
