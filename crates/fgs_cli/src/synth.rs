@@ -80,8 +80,10 @@ pub fn run(args: &SynthArgs) -> anyhow::Result<u8> {
         Noise::Kinect => SensorModel::kinect(),
         Noise::None => SensorModel::exact(),
     };
-    if args.round && args.rooms < 5 {
-        return Err(UsageError("--round: fewer than five rooms make no ring".into()).into());
+    if args.round && (args.rooms < 4 || !args.rooms.is_multiple_of(2)) {
+        return Err(
+            UsageError("--round: a ring has an even number of rooms, four or more".into()).into(),
+        );
     }
     let make = if args.round {
         Sequence::around_rooms

@@ -3,7 +3,7 @@
 //!
 //!     cargo run --release -p fgs_slam --example soak -- SECONDS [realtime|lockstep] [ROOMS] [MAX_GAUSSIANS]
 //!
-//! Five rooms or more make a ring.
+//! An even number of rooms, four or more, make a ring.
 //! In real time frames come at 30 Hz and are dropped when late. Prints a line of CSV each minute. Memory is
 //! what the process has in use, tracking is CPU time of the threads that track and of the one that delivers
 //! frames, a frame that was tracked (both Linux only).
@@ -30,8 +30,8 @@ fn main() -> Result<(), Box<dyn Error>> {
     let execution = arguments.next().unwrap_or("realtime".into()).parse()?;
     let mut config = SlamConfig::default();
     config.mapping.iterations_per_frame = 1.0;
-    let rooms = arguments.next().map_or(Ok(5), |text| text.parse())?;
-    let rooms: usize = if rooms < 5 { 1 } else { rooms };
+    let rooms: usize = arguments.next().map_or(Ok(6), |text| text.parse())?;
+
     if let Some(max) = arguments.next() {
         config.mapping.max_gaussians = max.parse()?;
     }

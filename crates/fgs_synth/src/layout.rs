@@ -83,8 +83,8 @@ pub(crate) struct Plan {
     pub size: Vector3<f64>,
     /// 0: living room, 1: study, 2: dining room.
     pub kind: u64,
-    /// Whether the walls at +x and at -x have a doorway in their middle.
-    pub doorways: [bool; 2],
+    /// Whether the walls at -y, +x, +y and -x have a doorway in their middle.
+    pub doorways: [bool; 4],
 }
 
 /// Draws the inner size of the next room, metres.
@@ -120,8 +120,8 @@ pub(crate) fn furnish(b: &mut Builder, plan: &Plan) {
             vec![Item::Door, Item::Bookcase],
         ],
     };
-    if plan.doorways != [false; 2] {
-        // A doorway leaves no space for a window in its wall, so put one here.
+    if plan.doorways != [false; 4] {
+        // A doorway leaves no space for a window in its wall, so put one here, if there is none either.
         walls[2] = vec![Item::Window, Item::Bookcase];
     }
     for (items, wall) in walls.iter_mut().zip(plan.walls()) {
@@ -134,26 +134,6 @@ pub(crate) fn furnish(b: &mut Builder, plan: &Plan) {
     }
     corners(b, plan);
     middle(b, plan, wood);
-}
-
-/// Closes the wedge between the outer halves of two rooms' walls that meet in a doorway, each turned by
-/// `half_turn` (rad) from the doorway's frame.
-pub(crate) fn close_wedge(
-    b: &mut Builder,
-    doorway: Place,
-    depth_m: f64,
-    height_m: f64,
-    half_turn: f64,
-) {
-    let (sin, cos) = half_turn.sin_cos();
-    let (wide, near) = (depth_m * sin + 0.5, depth_m * cos);
-    let white = Pattern::Paint(srgb(0xe9e7e2));
-    let far = -near - 2.0 * WALL_M;
-    b.block(doorway, [-wide, far, 0.0], [wide, -near, height_m], white);
-    // A little below the rooms' own floors and above their ceilings.
-    b.block(doorway, [-wide, far, -WALL_M], [wide, 0.0, -0.01], white);
-    let top = height_m + 0.01;
-    b.block(doorway, [-wide, far, top], [wide, 0.0, top + WALL_M], white);
 }
 
 /// The inner side of a wall.
@@ -174,10 +154,10 @@ impl Plan {
             has_doorway,
         };
         [
-            wall([-x, -y], 0.0, self.size.x, false),
-            wall([x, -y], FRAC_PI_2, self.size.y, self.doorways[0]),
-            wall([x, y], PI, self.size.x, false),
-            wall([-x, y], -FRAC_PI_2, self.size.y, self.doorways[1]),
+            wall([-x, -y], 0.0, self.size.x, self.doorways[0]),
+            wall([x, -y], FRAC_PI_2, self.size.y, self.doorways[1]),
+            wall([x, y], PI, self.size.x, self.doorways[2]),
+            wall([-x, y], -FRAC_PI_2, self.size.y, self.doorways[3]),
         ]
     }
 }
@@ -206,7 +186,7 @@ fn shell(b: &mut Builder, plan: &Plan) {
         middle: world,
         size,
         kind,
-        doorways: [doorway_ahead, doorway_behind],
+        doorways,
     } = *plan;
     let (x, y, z) = (0.5 * size.x, 0.5 * size.y, size.z);
     // Walls overlap at the corners, so that no ray slips through a seam.
@@ -232,13 +212,14 @@ fn shell(b: &mut Builder, plan: &Plan) {
         _ => Pattern::Bricks(srgb(b.choose([0xa8604a, 0xb58a70]))),
     };
     let accented = b.rng.random_range(0..4);
+    // The walls at -y, +x, +y and -x.
     let slabs = [
-        ([-x - T, -y - T, 0.0], [x + T, -y, z], false),
-        ([x, -y - T, 0.0], [x + T, y + T, z], doorway_ahead),
-        ([-x - T, y, 0.0], [x + T, y + T, z], false),
-        ([-x - T, -y - T, 0.0], [-x, y + T, z], doorway_behind),
+        ([-x - T, -y - T, 0.0], [x + T, -y, z]),
+        ([x, -y - T, 0.0], [x + T, y + T, z]),
+        ([-x - T, y, 0.0], [x + T, y + T, z]),
+        ([-x - T, -y - T, 0.0], [-x, y + T, z]),
     ];
-    for (i, (low, high, has_doorway)) in slabs.into_iter().enumerate() {
+    for (i, ((low, high), has_doorway)) in slabs.into_iter().zip(doorways).enumerate() {
         let pattern = if i == accented {
             accent
         } else {
@@ -246,9 +227,16 @@ fn shell(b: &mut Builder, plan: &Plan) {
         };
         if has_doorway {
             let (side, top) = (0.5 * f::DOORWAY_WIDTH_M, f::DOORWAY_HEIGHT_M);
-            b.block(world, low, [high[0], -side, high[2]], pattern);
-            b.block(world, [low[0], side, low[2]], high, pattern);
-            b.block(world, [low[0], -side, top], [high[0], side, z], pattern);
+            // Along y in the walls at +x and -x, along x in the others.
+            let along = i % 2;
+            let with = |mut point: [f64; 3], at: f64| {
+                point[along] = at;
+                point
+            };
+            b.block(world, low, with(high, -side), pattern);
+            b.block(world, with(low, side), high, pattern);
+            let above = [low[0], low[1], top];
+            b.block(world, with(above, -side), with(high, side), pattern);
         } else {
             b.block(world, low, high, pattern);
         }

@@ -2,7 +2,7 @@
 //!
 //! Surfaces are Lambertian, so a point has the same radiance from every viewpoint.
 
-use std::f64::consts::TAU;
+use std::f64::consts::{FRAC_PI_2, PI};
 
 use nalgebra::Vector3;
 use rand::SeedableRng;
@@ -47,20 +47,39 @@ pub struct Room {
     light: LightMap,
 }
 
-/// How the rooms of a ring lie: with their middles on the sides of a regular polygon around the origin,
-/// and their doorways at its corners.
+/// How the rooms of a ring lie: square, in two rows, the second one walked back.
+#[derive(Clone, Copy)]
 pub(crate) struct Ring {
-    /// How many rooms.
-    pub rooms: usize,
-    /// From doorway to doorway, metres.
-    pub side_m: f64,
+    /// Rooms in a row.
+    pub columns: usize,
+    /// From the middle of a room to that of the next, metres.
+    pub pitch_m: f64,
 }
 
 impl Ring {
-    /// The middle of the room whose x axis has this yaw.
-    pub fn middle(&self, yaw: f64) -> [f64; 2] {
-        let radius = 0.5 * self.side_m / (0.5 * TAU / self.rooms as f64).tan();
-        [radius * yaw.sin(), -radius * yaw.cos()]
+    /// How many rooms; the ring is closed after that many.
+    pub fn rooms(&self) -> usize {
+        2 * self.columns
+    }
+
+    /// Whether the way turns left in a room: out of the wall at +y, not at +x, of the frame in which it came
+    /// in at -x.
+    pub fn turns(&self, room: usize) -> bool {
+        let column = room % self.columns;
+        column == 0 || column + 1 == self.columns
+    }
+
+    /// The frame of a room in which the way comes in at -x: its middle, metres, and its yaw, rad.
+    pub fn frame(&self, room: usize) -> ([f64; 2], f64) {
+        let (row, step) = (room / self.columns, room % self.columns);
+        let column = if row == 0 {
+            step
+        } else {
+            self.columns - 1 - step
+        };
+        let back = PI * row as f64;
+        let yaw = if step == 0 { back - FRAC_PI_2 } else { back };
+        ([column as f64, row as f64].map(|at| at * self.pitch_m), yaw)
     }
 }
 
@@ -105,37 +124,32 @@ impl Room {
         self
     }
 
-    /// A ring of `count` rooms, generated from consecutive seeds starting at `seed`, of one size. Open
-    /// doorways join each with the next.
-    pub(crate) fn ring(seed: u64, count: usize) -> (Self, Ring) {
-        let (mut room, ring) = Self::unlit_ring(seed, count);
-        room.light = LightMap::bake(&room, seed);
-        (room, ring)
+    /// A ring of two rows of `columns` rooms, at least two, generated from consecutive seeds starting at
+    /// `seed`, of one size. Open doorways join each with the next.
+    pub(crate) fn ring(seed: u64, columns: usize) -> (Self, Ring) {
+        let (room, ring) = Self::unlit_ring(seed, columns);
+        (room.lit(seed), ring)
     }
 
-    pub(crate) fn unlit_ring(seed: u64, count: usize) -> (Self, Ring) {
-        let size = Vector3::new(5.4, 4.9, 2.6);
+    pub(crate) fn unlit_ring(seed: u64, columns: usize) -> (Self, Ring) {
+        let size = Vector3::new(5.2, 5.2, 2.6);
         let ring = Ring {
-            rooms: count,
-            side_m: size.x + WALL_M,
+            columns,
+            pitch_m: size.x + 2.0 * WALL_M,
         };
         let mut builder = Builder::new(Pcg64Mcg::seed_from_u64(seed));
-        let turn = TAU / count as f64;
-        for i in 0..count {
+        for i in 0..ring.rooms() {
             let seed = seed.wrapping_add(i as u64);
             builder.rng = Pcg64Mcg::seed_from_u64(seed);
-            let yaw = turn * i as f64;
-            let [x, y] = ring.middle(yaw);
-            let middle = Place::new([x, y, 0.0], yaw);
+            let ([x, y], yaw) = ring.frame(i);
+            let turns = ring.turns(i);
             let plan = Plan {
-                middle,
+                middle: Place::new([x, y, 0.0], yaw),
                 size,
                 kind: seed % 3,
-                doorways: [true, true],
+                doorways: [false, !turns, turns, true],
             };
             layout::furnish(&mut builder, &plan);
-            let doorway = middle.at([0.5 * ring.side_m, 0.0, 0.0], 0.5 * turn);
-            layout::close_wedge(&mut builder, doorway, 0.5 * size.y, size.z, 0.5 * turn);
         }
         (Self::unlit(builder, size), ring)
     }
@@ -168,7 +182,7 @@ impl Room {
                 middle: Place::new([middle_x, 0.0, 0.0], 0.0),
                 size: own_size,
                 kind: seed % 3,
-                doorways: [has_next, i > 0],
+                doorways: [false, has_next, false, i > 0],
             };
             layout::furnish(&mut builder, &plan);
             size = Vector3::new(

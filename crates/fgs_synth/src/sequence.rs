@@ -105,7 +105,8 @@ impl Sequence {
 
     /// `len` frames, at [`FRAMES_PER_SECOND`], of a walk once round a ring of rooms generated from `seed`
     /// and the seeds after it, and on to the middle of the first room. The frames are spread over the
-    /// whole walk. For fewer than five rooms, which make no ring, this is the same as [`Self::new`].
+    /// whole walk. A ring has an even number of rooms, four or more; of others this is the same as
+    /// [`Self::new`].
     pub fn around_rooms(
         seed: u64,
         rooms: usize,
@@ -113,10 +114,10 @@ impl Sequence {
         camera: Camera,
         sensor: SensorModel,
     ) -> Self {
-        if rooms < 5 {
+        if rooms < 4 || !rooms.is_multiple_of(2) {
             return Self::new(seed, len, camera, sensor);
         }
-        let (room, ring) = Room::ring(seed, rooms);
+        let (room, ring) = Room::ring(seed, rooms / 2);
         Self {
             seed,
             len,

@@ -15,6 +15,10 @@ use crate::path::Hand;
 /// it ends, metres.
 const END_M: f64 = 1.2;
 
+/// How far the camera yaws across a room and back, rad: beside the middle of the room it faces the opposite
+/// wall and sees some of what lies back along the path.
+pub(crate) const SWEEP: f64 = 2.2;
+
 /// A camera path from the first room of a row to the last.
 pub(crate) struct Walk {
     /// x where each room begins, and where the last one ends, metres.
@@ -53,9 +57,6 @@ pub(crate) fn through_room(room: usize, share: f64) -> ([f64; 2], f64) {
     /// How far the path bends sideways around the middle of a room, metres, as the loop in a single
     /// room does.
     const BEND_M: f64 = 0.95;
-    /// How far the camera yaws across the room and back, rad: beside the middle of the room it faces
-    /// the opposite wall and sees some of what lies back along the path.
-    const SWEEP: f64 = 2.2;
     // 0 with zero slope at the doorways, 1 beside the middle.
     let inside = (PI * share).sin().powi(2);
     // Passes the middles of successive rooms on alternating sides.
