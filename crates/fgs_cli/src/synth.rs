@@ -23,7 +23,7 @@ Examples:
   fgs synth recordings/room
   fgs synth recordings/room --layout replica --frames 100 --size 320x240 --noise none --seed 3
   fgs synth recordings/house --rooms 7 --frames 2100
-  fgs synth recordings/ring --rooms 7 --frames 2250 --round
+  fgs synth recordings/ring --rooms 6 --frames 1950 --round
   fgs run recordings/room --eval")]
 pub struct SynthArgs {
     /// Folder to write; must not exist
@@ -37,7 +37,7 @@ pub struct SynthArgs {
     /// How many rooms in a row to walk through
     #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u8).range(1..=20))]
     rooms: u8,
-    /// Walk round a ring of rooms, five at least, back to where it began
+    /// Walk round a ring of rooms, an even number and four at least, back to where it began
     #[arg(long)]
     round: bool,
     /// Number of frames; 300 go once round a room, and 300 per room make a calm walk through several

@@ -34,7 +34,7 @@ const MANIFEST: &str = "manifest";
 const MAGIC: &str = "fgs map, version ";
 
 /// Raised whenever an older program could not read what a newer one writes.
-const VERSION: u32 = 4;
+const VERSION: u32 = 5;
 
 /// A hundred thousand keyframes take less.
 const MAX_MANIFEST_BYTES: u64 = 16 << 20;

@@ -37,6 +37,7 @@ mod submaps;
 mod surface;
 mod system;
 mod tracker;
+mod two_motions;
 mod verdict;
 mod view_choice;
 mod weak_directions;

@@ -83,10 +83,19 @@ enum Cell {
 }
 
 impl MovingThings {
-    /// What moves in a frame; `None` if all of it stands still.
-    pub fn find(&self, frame: &RgbdFrame, world_from_camera: &Se3) -> Option<Moving> {
+    /// What moves in a frame; `None` if all of it stands still. `moves` are pixels that are known to move.
+    pub fn find(
+        &self,
+        frame: &RgbdFrame,
+        world_from_camera: &Se3,
+        moves: &[(usize, usize)],
+    ) -> Option<Moving> {
         let cells = Cells::new(frame);
-        let said = self.compare(&cells, world_from_camera, frame.timestamp_secs);
+        let mut said = self.compare(&cells, world_from_camera, frame.timestamp_secs);
+        for (u, v) in cells.holding(moves) {
+            let secs = frame.timestamp_secs;
+            said.set(u, v, Cell::Moved { secs });
+        }
         let (width, height) = (said.width(), said.height());
         let mut moved_secs = Image::filled(width, height, NEVER);
         let mut is_visited = Image::filled(width, height, false);
@@ -113,9 +122,11 @@ impl MovingThings {
     /// A frame whose pose is trusted, with all that it shows, and what moves in it.
     pub fn observe(&mut self, frame: &RgbdFrame, world_from_camera: &Se3, moving: Option<&Moving>) {
         let now_secs = frame.timestamp_secs;
+        // What begins to move is remembered at once: parts of it stand where it stood before.
+        let is_news = |seen: &Seen| moving.is_some() && !seen.has_moving();
         let is_recent =
             |seen: &Seen| (0.0..INTERVAL_SECS).contains(&(now_secs - seen.timestamp_secs));
-        if self.seen.back().is_some_and(is_recent) {
+        if (self.seen.back()).is_some_and(|seen| is_recent(seen) && !is_news(seen)) {
             return;
         }
         // Where stamps have gone back, nothing is known of what was before.
@@ -220,6 +231,10 @@ impl Cell {
 }
 
 impl Seen {
+    fn has_moving(&self) -> bool {
+        self.moved_secs.data().iter().any(|secs| *secs > NEVER)
+    }
+
     /// What this frame says of a point in its camera's axes.
     fn at(&self, point: &Vector3<f64>, now_secs: f64) -> Cell {
         let Some((u, v)) = self.cells.cell(point) else {
@@ -276,6 +291,14 @@ impl Cells {
             side_px,
             nearest_m,
         }
+    }
+
+    /// The cells in which pixels are.
+    fn holding(&self, pixels: &[(usize, usize)]) -> impl Iterator<Item = (usize, usize)> {
+        let (width, height) = (self.nearest_m.width(), self.nearest_m.height());
+        let cell = move |at: usize| at / self.side_px;
+        let cells = pixels.iter().map(move |(u, v)| (cell(*u), cell(*v)));
+        cells.filter(move |(u, v)| *u < width && *v < height)
     }
 
     /// The point at the middle of a cell, in the camera's axes.
@@ -403,7 +426,7 @@ mod tests {
             let secs = FRAME_SECS * i as f64;
             let frame = frame(secs, thing_m, &camera(secs));
             let pose = camera(secs + if i % 2 == 0 { off_secs } else { 0.0 });
-            let moving = things.find(&frame, &pose);
+            let moving = things.find(&frame, &pose, &[]);
             things.observe(&frame, &pose, moving.as_ref());
             moving.map_or(0.0, |moving| moving.share())
         };
@@ -447,7 +470,7 @@ mod tests {
         things.observe(&frame(1.0, 0.4, &camera(0.0)), &camera(0.0), None);
         assert_eq!(things.seen.len(), 1);
         let again = frame(1.1, 0.4, &camera(0.0));
-        assert!(things.find(&again, &camera(0.0)).is_none());
+        assert!(things.find(&again, &camera(0.0), &[]).is_none());
     }
 
     #[test]
@@ -456,7 +479,7 @@ mod tests {
         things.observe(&frame(0.0, -0.4, &camera(0.0)), &camera(0.0), None);
         let moved = frame(0.5, 0.4, &camera(0.5));
         let still = things
-            .find(&moved, &camera(0.5))
+            .find(&moved, &camera(0.5), &[])
             .unwrap()
             .left_out_of(&moved);
         let pixels = || (0..120).flat_map(|v| (0..160).map(move |u| (u, v)));
@@ -471,5 +494,24 @@ mod tests {
             assert!(!is_left_out || near(u, v), "{u} {v}");
         }
         assert!(still.check().is_ok());
+    }
+
+    #[test]
+    fn what_is_known_to_move_is_remembered_at_once_and_moves_where_it_overlaps_what_it_was() {
+        let mut things = MovingThings::default();
+        things.observe(&frame(0.0, 0.0, &camera(0.0)), &camera(0.0), None);
+        let seen = frame(FRAME_SECS, 0.02, &camera(FRAME_SECS));
+        let pose = camera(FRAME_SECS);
+        assert!(things.find(&seen, &pose, &[]).is_none());
+        let pixels = (0..120).flat_map(|v| (0..160).map(move |u| (u, v)));
+        let thing: Vec<_> = pixels
+            .filter(|(u, v)| seen.depth_m.at(*u, *v) < 2.0)
+            .collect();
+        let moving = things.find(&seen, &pose, &thing).unwrap();
+        assert!(moving.share() > 0.2);
+        things.observe(&seen, &pose, Some(&moving));
+        let next = frame(2.0 * FRAME_SECS, 0.04, &camera(2.0 * FRAME_SECS));
+        let moving = things.find(&next, &camera(2.0 * FRAME_SECS), &[]).unwrap();
+        assert!(moving.share() > 0.2, "{}", moving.share());
     }
 }

@@ -6,7 +6,7 @@ use std::sync::Arc;
 
 use fgs_direct::{IntensityPyramid, PosePrior};
 use fgs_geom::{KeyframeId, RgbdFrame, Se3};
-use fgs_gicp::{Alignment, Point, Settings, SurfacePoint, align};
+use fgs_gicp::{Alignment, Factor, Point, Settings, SurfacePoint, align};
 use nalgebra::{Matrix6, Vector6};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -112,6 +112,10 @@ pub struct Attempt {
     pub relocalized_by: Option<KeyframeId>,
     /// The [uncertainty](Evidence::uncertainty_m) by depth and colour alone.
     pub uncertainty_m: f64,
+    /// The depth camera's pose by registration alone.
+    pub world_from_depth: Se3,
+    /// [`Alignment::residual_variance`]; 0 if nothing was registered.
+    pub residual_variance: f64,
 }
 
 /// Where a frame was taken.
@@ -144,6 +148,7 @@ struct Registered {
     held: Matrix6<f64>,
     /// What else holds the camera.
     carried: Matrix6<f64>,
+    residual_variance: f64,
 }
 
 impl Registrar {
@@ -174,6 +179,7 @@ impl Registrar {
                 information: None,
                 held: Matrix6::zeros(),
                 carried: Matrix6::zeros(),
+                residual_variance: 0.0,
             };
             Attempt {
                 verdict: Verdict::Tracked,
@@ -227,6 +233,7 @@ impl Registrar {
             information: Some(start.information),
             held: start.information,
             carried: Matrix6::zeros(),
+            residual_variance: 0.0,
         };
         let attempt = self.locate(measured, known, &started, Evidence::default());
         attempt.evidence.agrees().then_some(attempt.located)
@@ -263,7 +270,40 @@ impl Registrar {
             information: Some(self.information(alignment) + carried),
             held,
             carried,
+            residual_variance: alignment.residual_variance,
         }
+    }
+
+    /// Which of a frame's points fit the map at a pose of the depth camera: the squared residual relative to the
+    /// points' covariances is at most `limit`.
+    pub fn fitting(
+        &self,
+        measured: Measured,
+        known: Known,
+        world_from_depth: &Se3,
+        limit: f64,
+    ) -> Vec<bool> {
+        let velocity = known.motion.velocity_to(world_from_depth, measured.seconds);
+        let disks = self.disks(measured.points, measured.frame, &velocity);
+        let rotation = world_from_depth.rotation.to_rotation_matrix().into_inner();
+        let translation = world_from_depth.translation;
+        let reach_m = self.config.max_correspondence_distance_m as f32;
+        let fits = |disk: &Point| {
+            let p = disk.position.cast::<f64>();
+            let query = (rotation * p + translation).cast();
+            let found = known.map.points().nearest(&query, reach_m)?;
+            let factor = Factor::new(
+                &p,
+                &disk.covariance.matrix(),
+                &found.point.position.cast(),
+                &found.point.covariance.matrix(),
+                &rotation,
+                &translation,
+            )?;
+            Some(factor.cost() <= limit)
+        };
+        let fits = disks.par_iter().map(|disk| fits(disk).unwrap_or(false));
+        fits.collect()
     }
 
     /// Takes the first steps of a registration.
@@ -349,6 +389,8 @@ impl Registrar {
             evidence.uncertainty_m = position_uncertainty_m(&held);
         }
         Attempt {
+            world_from_depth: registered.world_from_depth,
+            residual_variance: registered.residual_variance,
             uncertainty_m,
             verdict: evidence.verdict(&self.config),
             is_doubtful: evidence.is_doubtful(&self.config),

@@ -38,6 +38,7 @@ use crate::repeats::{Clock, LatestFrame, Repeat};
 use crate::sparse_map::{SavedSparseMap, SparseMap};
 use crate::submaps::APART_M;
 use crate::surface::tracking_grid;
+use crate::two_motions::{Suspicion, UsualFit};
 use crate::verdict::{Hold, Verdict};
 
 /// A camera is lost for good when it has not been found in so many frames that show what the frame before each
@@ -55,6 +56,7 @@ pub struct Tracker {
     relocalizer: Relocalizer,
     motion: MotionModel,
     moving: MovingThings,
+    usual_fit: UsualFit,
     footing: Footing,
     latest: Option<LatestFrame>,
     clock: Clock,
@@ -83,6 +85,18 @@ impl<F> Unmapped<F> {
     }
 }
 
+/// A frame without what moves in it.
+struct Sighting {
+    found: Option<Attempt>,
+    points: Vec<SurfacePoint>,
+    /// What was left out.
+    moving: Option<Moving>,
+    /// It was part of the map before.
+    something_left: bool,
+    /// Whether it may not as well be the camera that moved.
+    is_sure: bool,
+}
+
 /// What the camera's last pose is worth.
 #[derive(Clone, Default, Serialize, Deserialize)]
 enum Footing {
@@ -105,6 +119,7 @@ pub struct SavedTracker {
     map: SavedSparseMap,
     motion: MotionModel,
     moving: MovingThings,
+    usual_fit: UsualFit,
     footing: Footing,
     clock: Clock,
     frames: SavedFrames,
@@ -209,6 +224,7 @@ impl Tracker {
             relocalizer,
             motion: saved.motion,
             moving: saved.moving,
+            usual_fit: saved.usual_fit,
             footing: saved.footing,
             latest: saved
                 .latest
@@ -255,6 +271,7 @@ impl Tracker {
             map: self.map.save(),
             motion: self.motion.clone(),
             moving: self.moving.clone(),
+            usual_fit: self.usual_fit.clone(),
             footing: self.footing.clone(),
             clock: self.clock,
             frames,
@@ -325,16 +342,13 @@ impl Tracker {
     /// Tracks a frame that does not repeat the one before.
     fn track_new(&mut self, frame: &Arc<RgbdFrame>, admission: Admission) -> Tracked {
         let sparse_points = self.map.points().len();
-        let mut points = self.grid.surface_points(&frame.depth_m, &frame.camera);
-        let mut found = self.find(frame, &points, admission);
-        let moving = found
-            .as_ref()
-            .and_then(|attempt| (self.moving).find(frame, &attempt.located.world_from_camera));
-        if let Some(moving) = &moving {
-            let still = Arc::new(moving.left_out_of(frame));
-            points = self.grid.surface_points(&still.depth_m, &still.camera);
-            found = self.find(&still, &points, admission);
-        }
+        let Sighting {
+            found,
+            points,
+            moving,
+            something_left,
+            is_sure,
+        } = self.sight(frame, admission);
         let mut tracked = Tracked {
             verdict: Verdict::Lost,
             world_from_camera: None,
@@ -349,14 +363,18 @@ impl Tracker {
         if let Some(attempt) = found {
             tracked.quality.take_over(&attempt.evidence);
             tracked.verdict = self.believe(&attempt);
+            if !is_sure {
+                tracked.verdict = tracked.verdict.min(Verdict::Weak);
+            }
             if tracked.verdict > Verdict::Lost {
                 tracked.world_from_camera = Some(attempt.located.world_from_camera);
                 self.stand_at(&attempt);
+                (self.usual_fit).observe(attempt.residual_variance, &self.motion);
             }
             if tracked.verdict == Verdict::Tracked {
                 let pose = &attempt.located.world_from_camera;
                 self.moving.observe(frame, pose, moving.as_ref());
-                tracked.work = self.work(attempt, &points, admission);
+                tracked.work = self.work(attempt, &points, admission, something_left);
             }
         } else if self.newest_keyframe.is_some() {
             self.stumble();
@@ -367,9 +385,77 @@ impl Tracker {
             tracked.world_from_camera = Some(attempt.located.world_from_camera);
             self.stand_at(&attempt);
             let points = self.grid.surface_points(&frame.depth_m, &frame.camera);
-            tracked.work = self.work(attempt, &points, admission);
+            tracked.work = self.work(attempt, &points, admission, false);
         }
         tracked
+    }
+
+    /// Finds a frame, without what moves in it.
+    fn sight(&mut self, frame: &Arc<RgbdFrame>, admission: Admission) -> Sighting {
+        let points = self.grid.surface_points(&frame.depth_m, &frame.camera);
+        let found = self.find(frame, &points, admission);
+        let Some(attempt) = found else {
+            return Sighting {
+                found,
+                points,
+                moving: None,
+                something_left: false,
+                is_sure: true,
+            };
+        };
+        let (attempt, suspicion) = self.investigate(frame, &points, attempt);
+        let mut pose = attempt.located.world_from_camera;
+        let mut moves = Vec::new();
+        let mut is_sure = matches!(suspicion, Suspicion::Unfounded);
+        let mut something_left = false;
+        if let Suspicion::Founded(two) = suspicion {
+            pose = two.world_from_camera;
+            moves = (points.iter().zip(&two.moves))
+                .filter_map(|(point, moves)| moves.then_some((point.u, point.v)))
+                .collect();
+            is_sure = two.is_clear;
+            something_left = true;
+        }
+        let Some(moving) = self.moving.find(frame, &pose, &moves) else {
+            return Sighting {
+                found: Some(attempt),
+                points,
+                moving: None,
+                something_left: false,
+                is_sure: is_sure && !something_left,
+            };
+        };
+        if something_left {
+            // What the camera seemed to do since was the other's motion.
+            self.motion = self.usual_fit.motion().clone();
+        }
+        let still = Arc::new(moving.left_out_of(frame));
+        let points = self.grid.surface_points(&still.depth_m, &still.camera);
+        Sighting {
+            found: self.find(&still, &points, admission),
+            points,
+            moving: Some(moving),
+            something_left,
+            is_sure,
+        }
+    }
+
+    /// Whether something began to move in a frame that is about to be believed.
+    fn investigate(
+        &self,
+        frame: &Arc<RgbdFrame>,
+        points: &[SurfacePoint],
+        attempt: Attempt,
+    ) -> (Attempt, Suspicion) {
+        if attempt.verdict == Verdict::Lost || !matches!(self.footing, Footing::Firm) {
+            return (attempt, Suspicion::Unfounded);
+        }
+        let measured = Measured {
+            frame,
+            points,
+            seconds: self.clock.now_secs(),
+        };
+        (self.usual_fit).investigate(&self.registrar, measured, self.known(), attempt)
     }
 
     /// Where a camera begins a sub-map that has been lost for a while and sees well; `None` if it does not.
@@ -444,6 +530,7 @@ impl Tracker {
         };
         if let Some(new_from_old) = motion_of(self.home) {
             self.motion.move_world(new_from_old);
+            self.usual_fit.move_world(new_from_old);
             let latest = self.latest.as_mut();
             if let Some(pose) = latest.and_then(|latest| latest.world_from_camera.as_mut()) {
                 *pose = *new_from_old * *pose;
@@ -616,6 +703,7 @@ impl Tracker {
         attempt: Attempt,
         points: &[SurfacePoint],
         admission: Admission,
+        something_left: bool,
     ) -> Option<FrameWork> {
         let Attempt {
             located,
@@ -627,9 +715,11 @@ impl Tracker {
         self.relocalizer.observe(&frame, &located.world_from_camera);
         let overlap_share = evidence.inliers as f64 / points.len() as f64;
         let allowed = admission == Admission::Allowed;
-        let has_left = pyramid.as_ref().is_some_and(|pyramid| {
+        let leaves_newest = pyramid.as_ref().is_some_and(|pyramid| {
             (self.color).has_left_newest(pyramid, &located.world_from_camera)
         });
+        // A keyframe that shows what has left speaks against all that is seen without it.
+        let has_left = leaves_newest || something_left;
         let is_slipping = evidence.is_slipping();
         if let Some(kind) = (self.policy).decide(overlap_share, has_left, is_slipping, allowed) {
             let made = self.make_keyframe(kind, &frame, &located, points);

@@ -77,9 +77,12 @@ fn someone_who_walks_by_or_stays_a_while_does_not_take_the_camera_along() {
 }
 
 #[test]
-#[ignore = "known defect: someone who is part of the map, and large in view, takes the camera along"]
 fn someone_who_was_there_and_leaves_does_not_take_the_camera_along() {
-    Run::of("host").assert_honest();
+    for name in ["host", "slow-host"] {
+        let run = Run::of(name);
+        run.assert_honest();
+        run.assert_found_again();
+    }
 }
 
 #[test]

@@ -26,7 +26,7 @@ const SEED: u64 = 3;
 type Director = fn(&mut Scenario);
 
 /// By name.
-const DIRECTORS: [(&str, Director); 18] = [
+const DIRECTORS: [(&str, Director); 19] = [
     ("bare-wall", plain::bare_wall),
     ("corridor", plain::corridor),
     ("other-room", motion::other_room),
@@ -41,6 +41,7 @@ const DIRECTORS: [(&str, Director); 18] = [
     ("passer-by", passer_by::passer_by),
     ("visitor", passer_by::visitor),
     ("host", passer_by::host),
+    ("slow-host", passer_by::slow_host),
     ("5-hz", motion::five_hz),
     ("twice", motion::twice),
     ("repeated", motion::repeated),

@@ -40,13 +40,26 @@ pub(super) fn visitor(scenario: &mut Scenario) {
     scenario.film(&room, stretch(end, end + 2.0, frames(2.0)));
 }
 
-/// Someone stands before a slow camera from the beginning, and goes.
+/// Someone stands before a slow camera from the beginning, and goes at once.
 pub(super) fn host(scenario: &mut Scenario) {
+    leave(scenario, |secs| secs);
+}
+
+/// The same, but setting off gently.
+pub(super) fn slow_host(scenario: &mut Scenario) {
+    leave(scenario, |secs| {
+        0.5 * secs.min(1.0).powi(2) + (secs - 1.0).max(0.0)
+    });
+}
+
+/// Someone stands before a slow camera from the beginning, and then goes. `way_m` is how far they have gone
+/// after so many seconds.
+fn leave(scenario: &mut Scenario, way_m: impl Fn(f64) -> f64 + Send + Sync + 'static) {
     const SLOWNESS: f64 = 15.0;
     let goes = 60.0..63.0;
     let start = goes.start;
     let room = Arc::new(room_with_someone(move |at| {
-        (at - start).max(0.0) * SLOWNESS / FRAMES_PER_SECOND
+        way_m((at - start).max(0.0) * SLOWNESS / FRAMES_PER_SECOND)
     }));
     let frames = |points: f64| (SLOWNESS * points) as usize;
     scenario.film(&room, stretch(goes.start - 4.0, goes.start, frames(4.0)));
