@@ -1,6 +1,8 @@
 """A synthetic recording and a run of it, shared by all tests."""
 
 import os
+import signal
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -26,6 +28,14 @@ def finished(room: Path, tmp_path_factory: pytest.TempPathFactory) -> fgs_slam.R
     """A run of the recording on the CPU."""
     out = tmp_path_factory.mktemp("runs") / "room"
     return fgs_slam.run(room, out=out, backend="cpu", evaluate=True)
+
+
+@pytest.fixture(autouse=True)
+def interruptible() -> Iterator[None]:
+    """A shell starts what runs in its background with Ctrl-C ignored."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
 
 
 @pytest.fixture

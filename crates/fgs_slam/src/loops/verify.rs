@@ -47,8 +47,9 @@ const MAX_RESIDUAL: f64 = 0.01;
 const MIN_COMPARED: usize = 25;
 const MIN_SHARE: f64 = 0.25;
 
-/// Surfaces of keyframes within this way of the old one belong to the same view of the place.
-const NEIGHBOURHOOD_M: f64 = 1.5;
+/// Surfaces of keyframes within this way of the old one, but nearer to it than to the new one, belong to the same
+/// view of the place: what is far in view was mostly seen long before.
+const NEIGHBOURHOOD_M: f64 = 6.0;
 
 /// Errors that residuals do not show, because neighbouring pixels share them: standard deviations of
 /// the turn (rad) and the shift (metres). On recordings of consumer sensors corners are off by this.
@@ -156,7 +157,8 @@ fn registered(
     let source: Vec<Point> = surface.par_iter().map(to_disk).collect();
     let mut target = PointMap::new(4.0 * SEARCH_M[0] as f32);
     let camera_from_world = pose.inverse();
-    let anchored = (memory.map).anchored(|anchor| around.to(anchor) <= NEIGHBOURHOOD_M);
+    let reach_m = NEIGHBOURHOOD_M.min(0.5 * around.to(new.id));
+    let anchored = (memory.map).anchored(|anchor| around.to(anchor) <= reach_m);
     for (id, point) in anchored {
         let in_camera = camera_from_world.transform(&point.position.cast());
         if new.frame.camera.project(&in_camera).is_some() {
