@@ -225,6 +225,15 @@ impl Registrar {
         Some(self.locate(measured, known, &registered, evidence))
     }
 
+    /// The depth camera's pose from a start by registration alone; rows were read where the motion to the start says.
+    pub fn register(&self, measured: Measured, known: Known, start: &Start) -> Option<Se3> {
+        let velocity = (known.motion).velocity_to(&start.world_from_depth, measured.seconds);
+        let source = self.disks(measured.points, measured.frame, &velocity);
+        let alignment = self.align(&source, known.map, &start.world_from_depth)?;
+        let registered = self.registered(&alignment, &source, known.map, start);
+        Some(registered.world_from_depth)
+    }
+
     /// The pose of a frame without depth of its own, from a start and its colours; `None` if no keyframe
     /// speaks for it.
     pub fn follow(&self, measured: Measured, known: Known, start: &Start) -> Option<Located> {

@@ -403,13 +403,14 @@ impl Tracker {
                 is_sure: true,
             };
         };
-        let (attempt, suspicion) = self.investigate(frame, &points, attempt);
+        let suspicion = self.investigate(frame, &points, &attempt);
         let mut pose = attempt.located.world_from_camera;
         let mut moves = Vec::new();
         let mut is_sure = matches!(suspicion, Suspicion::Unfounded);
         let mut something_left = false;
         if let Suspicion::Founded(two) = suspicion {
-            pose = two.world_from_camera;
+            let depth_from_color = frame.depth_sensor.color_from_depth.inverse();
+            pose = two.world_from_depth * depth_from_color;
             moves = (points.iter().zip(&two.moves))
                 .filter_map(|(point, moves)| moves.then_some((point.u, point.v)))
                 .collect();
@@ -445,10 +446,10 @@ impl Tracker {
         &self,
         frame: &Arc<RgbdFrame>,
         points: &[SurfacePoint],
-        attempt: Attempt,
-    ) -> (Attempt, Suspicion) {
+        attempt: &Attempt,
+    ) -> Suspicion {
         if attempt.verdict == Verdict::Lost || !matches!(self.footing, Footing::Firm) {
-            return (attempt, Suspicion::Unfounded);
+            return Suspicion::Unfounded;
         }
         let measured = Measured {
             frame,

@@ -37,6 +37,9 @@ const MATTERS_RAD: f64 = 0.025;
 const UNLIKELY: f64 = 0.01;
 const MOST_UNLIKELY: f64 = 0.1;
 
+/// Of the points that are registered by themselves every so many will do: thousands are left.
+const STEP: usize = 4;
+
 /// Poses are told apart by at least this share of the points.
 const CLEARLY: f64 = 0.1;
 
@@ -63,7 +66,7 @@ pub enum Suspicion {
 
 /// A frame with two motions.
 pub struct TwoMotions {
-    pub world_from_camera: Se3,
+    pub world_from_depth: Se3,
     /// Which of the frame's points fit the pose where it was found, and not the camera's: what moves.
     pub moves: Vec<bool>,
     /// Whether it is clear which pose is the camera's.
@@ -72,7 +75,7 @@ pub struct TwoMotions {
 
 /// Where the camera may be.
 struct Hypothesis {
-    attempt: Attempt,
+    world_from_depth: Se3,
     /// Which of the frame's points fit there.
     fits: Vec<bool>,
     /// Their share, less what the motion there lacks in likelihood.
@@ -112,45 +115,43 @@ impl UsualFit {
         registrar: &Registrar,
         measured: Measured,
         known: Known,
-        found: Attempt,
-    ) -> (Attempt, Suspicion) {
+        found: &Attempt,
+    ) -> Suspicion {
         let device = measured.frame.device_pose.as_ref();
         let suspect = self.suspect(found.residual_variance);
         let (Some(usual), Some(predicted)) =
             (suspect, self.motion.predict(measured.seconds, device))
         else {
-            return (found, Suspicion::Unfounded);
+            return Suspicion::Unfounded;
         };
         let fitting = |pose: &Se3| registrar.fitting(measured, known, pose, FITS * FITS * usual);
-        let judge = |attempt: Attempt| {
-            let fits = fitting(&attempt.world_from_depth);
+        let judge = |world_from_depth: Se3| {
+            let fits = fitting(&world_from_depth);
             let share = fits.iter().filter(|fits| **fits).count() as f64 / fits.len() as f64;
-            let score = share - self.unlikelihood(&predicted, &attempt.world_from_depth);
             Hypothesis {
-                attempt,
+                score: share - self.unlikelihood(&predicted, &world_from_depth),
+                world_from_depth,
                 fits,
-                score,
             }
         };
         let by_points = |chosen: Vec<bool>| {
             let points = measured.points.iter().zip(&chosen);
             let points = points.filter_map(|(point, chosen)| chosen.then_some(*point));
-            let points: Vec<SurfacePoint> = points.collect();
+            let points: Vec<SurfacePoint> = points.step_by(STEP).collect();
             let only = Measured {
                 points: &points,
                 ..measured
             };
-            registrar
-                .attempt(only, known, &Start::predicted(&predicted))
-                .map(judge)
+            let pose = registrar.register(only, known, &Start::predicted(&predicted))?;
+            Some(judge(pose))
         };
         let where_expected = fitting(&predicted.world_from_camera);
         let others = [where_expected, far_half(measured.points)];
         let others = others.into_iter().filter_map(by_points);
         let other = others.reduce(|a, b| if b.score > a.score { b } else { a });
-        let found = judge(found);
-        let suspicion = other.map_or(Suspicion::Unfounded, |other| compare(&found, &other));
-        (found.attempt, suspicion)
+        other.map_or(Suspicion::Unfounded, |other| {
+            compare(&judge(found.world_from_depth), &other)
+        })
     }
 
     /// The usual variance, if a frame's is suspiciously larger.
@@ -171,7 +172,7 @@ impl UsualFit {
 
 /// What to make of a frame that was found at one pose, and fits another too.
 fn compare(found: &Hypothesis, other: &Hypothesis) -> Suspicion {
-    let apart = found.attempt.world_from_depth.inverse() * other.attempt.world_from_depth;
+    let apart = found.world_from_depth.inverse() * other.world_from_depth;
     let is_within = |metres: f64, radians: f64| {
         apart.translation.norm() < metres && apart.rotation.angle() < radians
     };
@@ -189,7 +190,7 @@ fn compare(found: &Hypothesis, other: &Hypothesis) -> Suspicion {
     }
     let both = found.fits.iter().zip(&other.fits);
     Suspicion::Founded(TwoMotions {
-        world_from_camera: other.attempt.located.world_from_camera,
+        world_from_depth: other.world_from_depth,
         moves: both.map(|(found, other)| *found && !*other).collect(),
         is_clear: better >= CLEARLY,
     })
