@@ -225,7 +225,8 @@ impl Registrar {
         Some(self.locate(measured, known, &registered, evidence))
     }
 
-    /// The depth camera's pose from a start by registration alone; rows were read where the motion to the start says.
+    /// The depth camera's pose from a start, by registration alone. Where a rolling shutter read its rows follows
+    /// from the motion to the start.
     pub fn register(&self, measured: Measured, known: Known, start: &Start) -> Option<Se3> {
         let velocity = (known.motion).velocity_to(&start.world_from_depth, measured.seconds);
         let source = self.disks(measured.points, measured.frame, &velocity);
