@@ -80,7 +80,7 @@ pub fn run(args: &SynthArgs) -> anyhow::Result<u8> {
         Noise::Kinect => SensorModel::kinect(),
         Noise::None => SensorModel::exact(),
     };
-    if args.round && (args.rooms < 4 || !args.rooms.is_multiple_of(2)) {
+    if args.round && !Sequence::is_ring(args.rooms.into()) {
         return Err(
             UsageError("--round: a ring has an even number of rooms, four or more".into()).into(),
         );

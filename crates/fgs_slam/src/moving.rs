@@ -112,8 +112,7 @@ impl MovingThings {
                 moved_secs.set(u, v, moved_secs.at(u, v).max(secs));
             }
         }
-        let moves = moved_secs.data().iter().any(|secs| *secs > NEVER);
-        moves.then_some(Moving {
+        any_moves(&moved_secs).then_some(Moving {
             moved_secs,
             side_px: cells.side_px,
         })
@@ -123,7 +122,7 @@ impl MovingThings {
     pub fn observe(&mut self, frame: &RgbdFrame, world_from_camera: &Se3, moving: Option<&Moving>) {
         let now_secs = frame.timestamp_secs;
         // What begins to move is remembered at once: parts of it stand where it stood before.
-        let is_news = |seen: &Seen| moving.is_some() && !seen.has_moving();
+        let is_news = |seen: &Seen| moving.is_some() && !any_moves(&seen.moved_secs);
         let is_recent =
             |seen: &Seen| (0.0..INTERVAL_SECS).contains(&(now_secs - seen.timestamp_secs));
         if (self.seen.back()).is_some_and(|seen| is_recent(seen) && !is_news(seen)) {
@@ -231,10 +230,6 @@ impl Cell {
 }
 
 impl Seen {
-    fn has_moving(&self) -> bool {
-        self.moved_secs.data().iter().any(|secs| *secs > NEVER)
-    }
-
     /// What this frame says of a point in its camera's axes.
     fn at(&self, point: &Vector3<f64>, now_secs: f64) -> Cell {
         let Some((u, v)) = self.cells.cell(point) else {
@@ -328,6 +323,10 @@ impl Cells {
             depths.fold(f32::INFINITY, f32::min)
         })
     }
+}
+
+fn any_moves(moved_secs: &Image<f64>) -> bool {
+    moved_secs.data().iter().any(|secs| *secs > NEVER)
 }
 
 /// A cell and those around it.

@@ -192,28 +192,19 @@ impl Registrar {
 
     /// The pose of a frame, found from a start; `None` if it cannot be registered at all.
     pub fn attempt(&self, measured: Measured, known: Known, start: &Start) -> Option<Attempt> {
-        let Measured {
-            frame,
-            points,
-            seconds,
-        } = measured;
-        if points.len() < MIN_POINTS {
+        if measured.points.len() < MIN_POINTS {
             return None;
         }
-        let velocity = known.motion.velocity_to(&start.world_from_depth, seconds);
-        let mut source = self.disks(points, frame, &velocity);
         let mut from = start.world_from_depth;
-        if frame.depth_sensor.readout_secs != 0.0 {
+        if measured.frame.depth_sensor.readout_secs != 0.0 {
             // Where the rows were read from follows from the velocity, which a few steps tell.
+            let source = self.disks_on_the_way_to(&from, measured, known);
             let roughly = self.align_roughly(&source, known.map, &from)?;
             from = self
                 .registered(&roughly, &source, known.map, start)
                 .world_from_depth;
-            let velocity = known.motion.velocity_to(&from, seconds);
-            source = self.disks(points, frame, &velocity);
         }
-        let alignment = self.align(&source, known.map, &from)?;
-        let registered = self.registered(&alignment, &source, known.map, start);
+        let (alignment, registered) = self.register_from(&from, measured, known, start)?;
         let evidence = Evidence {
             converged: alignment.converged,
             inliers: alignment.inliers,
@@ -228,11 +219,23 @@ impl Registrar {
     /// The depth camera's pose from a start, by registration alone. Where a rolling shutter read its rows follows
     /// from the motion to the start.
     pub fn register(&self, measured: Measured, known: Known, start: &Start) -> Option<Se3> {
-        let velocity = (known.motion).velocity_to(&start.world_from_depth, measured.seconds);
-        let source = self.disks(measured.points, measured.frame, &velocity);
-        let alignment = self.align(&source, known.map, &start.world_from_depth)?;
-        let registered = self.registered(&alignment, &source, known.map, start);
+        let from = start.world_from_depth;
+        let (_, registered) = self.register_from(&from, measured, known, start)?;
         Some(registered.world_from_depth)
+    }
+
+    /// Registers a frame from a pose near the start.
+    fn register_from(
+        &self,
+        from: &Se3,
+        measured: Measured,
+        known: Known,
+        start: &Start,
+    ) -> Option<(Alignment, Registered)> {
+        let source = self.disks_on_the_way_to(from, measured, known);
+        let alignment = self.align(&source, known.map, from)?;
+        let registered = self.registered(&alignment, &source, known.map, start);
+        Some((alignment, registered))
     }
 
     /// The pose of a frame without depth of its own, from a start and its colours; `None` if no keyframe
@@ -293,8 +296,7 @@ impl Registrar {
         world_from_depth: &Se3,
         limit: f64,
     ) -> Vec<bool> {
-        let velocity = known.motion.velocity_to(world_from_depth, measured.seconds);
-        let disks = self.disks(measured.points, measured.frame, &velocity);
+        let disks = self.disks_on_the_way_to(world_from_depth, measured, known);
         let rotation = world_from_depth.rotation.to_rotation_matrix().into_inner();
         let translation = world_from_depth.translation;
         let reach_m = self.config.max_correspondence_distance_m as f32;
@@ -410,6 +412,12 @@ impl Registrar {
             pyramid,
             evidence,
         }
+    }
+
+    /// The disks of a frame to which the depth camera came by the motion to a pose.
+    fn disks_on_the_way_to(&self, pose: &Se3, measured: Measured, known: Known) -> Vec<Point> {
+        let velocity = known.motion.velocity_to(pose, measured.seconds);
+        self.disks(measured.points, measured.frame, &velocity)
     }
 
     /// Disks in the depth camera's axes when it read its middle row.

@@ -97,6 +97,19 @@ struct Sighting {
     is_sure: bool,
 }
 
+impl Sighting {
+    /// Of a frame in which all stands still.
+    fn whole(found: Option<Attempt>, points: Vec<SurfacePoint>) -> Self {
+        Self {
+            found,
+            points,
+            moving: None,
+            something_left: false,
+            is_sure: true,
+        }
+    }
+}
+
 /// What the camera's last pose is worth.
 #[derive(Clone, Default, Serialize, Deserialize)]
 enum Footing {
@@ -393,15 +406,8 @@ impl Tracker {
     /// Finds a frame, without what moves in it.
     fn sight(&mut self, frame: &Arc<RgbdFrame>, admission: Admission) -> Sighting {
         let points = self.grid.surface_points(&frame.depth_m, &frame.camera);
-        let found = self.find(frame, &points, admission);
-        let Some(attempt) = found else {
-            return Sighting {
-                found,
-                points,
-                moving: None,
-                something_left: false,
-                is_sure: true,
-            };
+        let Some(attempt) = self.find(frame, &points, admission) else {
+            return Sighting::whole(None, points);
         };
         let suspicion = self.investigate(frame, &points, &attempt);
         let mut pose = attempt.located.world_from_camera;
@@ -419,11 +425,8 @@ impl Tracker {
         }
         let Some(moving) = self.moving.find(frame, &pose, &moves) else {
             return Sighting {
-                found: Some(attempt),
-                points,
-                moving: None,
-                something_left: false,
                 is_sure: is_sure && !something_left,
+                ..Sighting::whole(Some(attempt), points)
             };
         };
         if something_left {

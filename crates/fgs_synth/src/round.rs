@@ -57,22 +57,10 @@ fn around_corner(share: f64) -> ([f64; 2], f64) {
 
 #[cfg(test)]
 mod tests {
-    use nalgebra::Vector3;
-
     use super::*;
     use crate::path::FRAMES_PER_LOOP;
     use crate::room::Room;
-    use crate::shape::Ray;
-
-    /// Directions all over the sphere, on a Fibonacci lattice.
-    fn directions() -> impl Iterator<Item = Vector3<f64>> {
-        (0..200).map(|i| {
-            let z = (f64::from(i) + 0.5) / 100.0 - 1.0;
-            let (sin, cos) = (2.399_963 * f64::from(i)).sin_cos();
-            let r = (1.0 - z * z).sqrt();
-            Vector3::new(r * cos, r * sin, z)
-        })
-    }
+    use crate::shape::{Ray, directions};
 
     #[test]
     fn it_closes_and_nothing_is_in_the_way_and_there_is_no_way_to_look_out() {

@@ -114,7 +114,7 @@ impl Sequence {
         camera: Camera,
         sensor: SensorModel,
     ) -> Self {
-        if rooms < 4 || !rooms.is_multiple_of(2) {
+        if !Self::is_ring(rooms) {
             return Self::new(seed, len, camera, sensor);
         }
         let (room, ring) = Room::ring(seed, rooms / 2);
@@ -126,6 +126,11 @@ impl Sequence {
             camera,
             sensor,
         }
+    }
+
+    /// Whether [`around_rooms`](Self::around_rooms) goes round so many rooms.
+    pub fn is_ring(rooms: usize) -> bool {
+        rooms >= 4 && rooms.is_multiple_of(2)
     }
 
     /// The same sequence seen by another sensor; shares the room.

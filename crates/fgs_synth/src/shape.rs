@@ -20,6 +20,17 @@ impl Ray {
     }
 }
 
+/// Directions all over the sphere, on a Fibonacci lattice.
+#[cfg(test)]
+pub(crate) fn directions() -> impl Iterator<Item = Vector3<f64>> {
+    (0..200).map(|i| {
+        let z = (f64::from(i) + 0.5) / 100.0 - 1.0;
+        let (sin, cos) = (2.399_963 * f64::from(i)).sin_cos();
+        let r = (1.0 - z * z).sqrt();
+        Vector3::new(r * cos, r * sin, z)
+    })
+}
+
 /// The shape of a solid in its local frame, centred at the origin.
 #[derive(Clone, Copy)]
 pub(crate) enum Form {

@@ -74,7 +74,7 @@ mod tests {
     use super::*;
     use crate::path::FRAMES_PER_LOOP;
     use crate::room::Room;
-    use crate::shape::Ray;
+    use crate::shape::{Ray, directions};
 
     const ROOMS: usize = 4;
     const FRAMES: usize = ROOMS * FRAMES_PER_LOOP;
@@ -103,14 +103,10 @@ mod tests {
             for pair in poses.windows(2) {
                 let [from, to] = [pair[0].translation, pair[1].translation];
                 assert!(is_free(&room, from, to), "{from} to {to}");
-                // A Fibonacci lattice of directions over the sphere.
-                for i in 0..200 {
-                    let z = (f64::from(i) + 0.5) / 100.0 - 1.0;
-                    let (sin, cos) = (2.399_963 * f64::from(i)).sin_cos();
-                    let r = (1.0 - z * z).sqrt();
+                for direction in directions() {
                     let ray = Ray {
                         origin: from,
-                        direction: Vector3::new(r * cos, r * sin, z),
+                        direction,
                     };
                     nearest = nearest.min(room.meet(&ray, None).unwrap().t);
                 }
