@@ -9,7 +9,7 @@ use fgs_direct::{
 };
 use fgs_geom::{Image, KeyframeId, RgbdFrame, Se3};
 
-use crate::keyframes::{Keyframe, move_pose};
+use crate::keyframes::{Keyframe, Motions};
 
 /// Levels of the pyramid, the frame itself included: at the coarsest, a pixel is eight.
 const LEVELS: usize = 4;
@@ -170,10 +170,10 @@ impl ColorAligner {
         self.compared.remove(&id);
     }
 
-    /// Keyframes were moved, each by its `new_world_from_old_world`.
-    pub fn move_keyframes(&mut self, moves: &[(KeyframeId, Se3)]) {
+    /// Keyframes were moved.
+    pub fn move_keyframes(&mut self, motions: &Motions) {
         for keyframe in &mut self.keyframes {
-            move_pose(&mut keyframe.world_from_camera, keyframe.id, moves);
+            motions.apply(keyframe.id, &mut keyframe.world_from_camera);
         }
     }
 }

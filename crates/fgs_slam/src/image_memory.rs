@@ -1,7 +1,10 @@
 //! How many images fit: a run takes no more than 2 GB for images of up to 12 megapixels, whatever its
-//! length. Only images above a megapixel are affected.
+//! length, and keyframes no more than a quarter of the machine's memory. Where there are 6 GB, only images above
+//! a megapixel are affected.
 
 use fgs_geom::Camera;
+
+use crate::machine_memory::machine_memory;
 
 /// What a run may take beside its map.
 const BUDGET_BYTES: usize = 2 << 30;
@@ -20,8 +23,14 @@ const WORK_BYTES_PER_PIXEL: usize = 48 + 3 * IMAGES_BYTES_PER_PIXEL + 24;
 
 /// How many keyframes' images there is room for: two at least, or there is nothing to optimise.
 pub fn keyframes(camera: &Camera) -> usize {
+    keyframes_within(machine_memory(), camera)
+}
+
+fn keyframes_within(memory_bytes: u64, camera: &Camera) -> usize {
+    let quarter = usize::try_from(memory_bytes / 4).unwrap_or(usize::MAX);
     let work = WORK_BYTES_PER_PIXEL.saturating_mul(pixels(camera));
-    let room = (BUDGET_BYTES - FIXED_BYTES).saturating_sub(work);
+    let room = (BUDGET_BYTES - FIXED_BYTES).min(quarter);
+    let room = room.saturating_sub(work);
     (room / images_bytes(camera)).max(2)
 }
 
@@ -58,12 +67,25 @@ mod tests {
     #[test]
     fn usual_images_are_not_limited_and_large_ones_fit() {
         for (width, height) in [(640, 480), (1200, 680), (1280, 720)] {
-            assert!(keyframes(&camera(width, height)) >= 200);
+            assert!(keyframes_within(6 << 30, &camera(width, height)) >= 200);
             assert!(waiting_frames(&camera(width, height)) >= 10);
         }
         let large = camera(4000, 3000);
-        assert_eq!((keyframes(&large), waiting_frames(&large)), (5, 1));
+        assert_eq!(
+            (keyframes_within(8 << 30, &large), waiting_frames(&large)),
+            (5, 1)
+        );
         let huge = camera(65536, 65536);
-        assert_eq!((keyframes(&huge), waiting_frames(&huge)), (2, 1));
+        assert_eq!(
+            (keyframes_within(8 << 30, &huge), waiting_frames(&huge)),
+            (2, 1)
+        );
+    }
+
+    #[test]
+    fn a_small_machine_keeps_fewer() {
+        let usual = camera(640, 480);
+        assert_eq!(keyframes_within(2 << 30, &usual), 236);
+        assert_eq!(keyframes_within(1 << 30, &usual), 111);
     }
 }

@@ -3,6 +3,7 @@
 //! A tracking keyframe shows much that the sparse map lacks: it extends both maps. A mapping
 //! keyframe, every so many frames after it, only improves the dense map.
 
+use std::collections::BTreeMap;
 use std::fmt;
 use std::sync::Arc;
 
@@ -63,11 +64,33 @@ impl Keyframe {
     }
 }
 
-/// Moves the pose of a keyframe by those of some motions that are its own, each
-/// `new_world_from_old_world`.
-pub fn move_pose(world_from_camera: &mut Se3, id: KeyframeId, moves: &[(KeyframeId, Se3)]) {
-    for (_, new_from_old) in moves.iter().filter(|(moved, _)| *moved == id) {
-        *world_from_camera = *new_from_old * *world_from_camera;
+/// How keyframes moved, each by its `new_world_from_old_world`.
+#[derive(Default)]
+pub struct Motions(BTreeMap<KeyframeId, Se3>);
+
+impl Motions {
+    /// Of moves one after the other.
+    pub fn new(moves: &[(KeyframeId, Se3)]) -> Self {
+        let mut motions = Self::default();
+        for (id, new_from_old) in moves {
+            let so_far = motions.0.entry(*id);
+            so_far
+                .and_modify(|so_far| *so_far = *new_from_old * *so_far)
+                .or_insert(*new_from_old);
+        }
+        motions
+    }
+
+    /// That of a keyframe; `None` if it did not move.
+    pub fn of(&self, id: KeyframeId) -> Option<&Se3> {
+        self.0.get(&id)
+    }
+
+    /// Moves a keyframe's pose.
+    pub fn apply(&self, id: KeyframeId, world_from_camera: &mut Se3) {
+        if let Some(new_from_old) = self.of(id) {
+            *world_from_camera = *new_from_old * *world_from_camera;
+        }
     }
 }
 

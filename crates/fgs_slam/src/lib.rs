@@ -16,6 +16,7 @@ mod image_memory;
 mod inferred_depth;
 mod keyframes;
 mod loops;
+mod machine_memory;
 mod map_alignment;
 mod mapper;
 mod merge;

@@ -71,6 +71,7 @@ impl Slam {
             let (map, number) = place_of(*id);
             let frame = image_of(map, number)?;
             slam.find_loop(*id, &frame)?;
+            slam.await_correction()?;
         }
         Ok(slam.has_joined(begin).then_some(slam))
     }

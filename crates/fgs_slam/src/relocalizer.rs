@@ -8,7 +8,7 @@ use fgs_geom::{KeyframeId, RgbdFrame, Se3};
 use fgs_place::{PlaceDescriptor, PlaceIndex, Similar};
 use nalgebra::Matrix6;
 
-use crate::keyframes::{Keyframe, move_pose};
+use crate::keyframes::{Keyframe, Motions};
 
 /// Keyframes that are most like a frame are tried, up to so many.
 const CANDIDATES: usize = 5;
@@ -145,10 +145,10 @@ impl Relocalizer {
         self.keyframes.get(at.ok()?)
     }
 
-    /// Keyframes were moved, each by its `new_world_from_old_world`.
-    pub fn move_keyframes(&mut self, moves: &[(KeyframeId, Se3)]) {
+    /// Keyframes were moved.
+    pub fn move_keyframes(&mut self, motions: &Motions) {
         for keyframe in &mut self.keyframes {
-            move_pose(&mut keyframe.world_from_camera, keyframe.id, moves);
+            motions.apply(keyframe.id, &mut keyframe.world_from_camera);
         }
     }
 

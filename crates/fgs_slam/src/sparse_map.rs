@@ -6,11 +6,12 @@
 
 use std::ops::Range;
 
-use fgs_geom::{KeyframeId, Se3};
+use fgs_geom::KeyframeId;
 use fgs_gicp::{Point, PointMap};
 use fgs_splat::SparseId;
 use serde::{Deserialize, Serialize};
 
+use crate::keyframes::Motions;
 use crate::merge::Renumbering;
 
 /// Side of the point map's cells as a multiple of the search distance. Affects speed only: from 3
@@ -126,13 +127,12 @@ impl SparseMap {
         }
     }
 
-    /// Moves the points anchored to each keyframe by its `new_world_from_old_world`.
-    pub fn move_anchored(&mut self, moves: &[(KeyframeId, Se3)]) {
-        let ids_of_moved = self.ids_by_anchor().filter_map(|(anchor, ids)| {
-            let (_, new_from_old) = moves.iter().find(|(id, _)| *id == anchor)?;
-            Some((new_from_old, ids))
-        });
-        let ids_of_moved: Vec<_> = ids_of_moved.collect();
+    /// Moves the points anchored to each keyframe with it.
+    pub fn move_anchored(&mut self, motions: &Motions) {
+        let ids_of_moved: Vec<_> = self
+            .ids_by_anchor()
+            .filter_map(|(anchor, ids)| Some((motions.of(anchor)?, ids)))
+            .collect();
         for (new_from_old, ids) in ids_of_moved {
             for id in ids {
                 if let Some(point) = self.points.get(id) {
@@ -154,6 +154,7 @@ impl SparseMap {
 
 #[cfg(test)]
 mod tests {
+    use fgs_geom::Se3;
     use fgs_gicp::Covariance;
     use nalgebra::{Matrix3, Vector3, Vector6};
 
@@ -192,7 +193,10 @@ mod tests {
     fn a_moved_keyframe_moves_exactly_its_points_and_back() {
         let (mut map, before) = (map(), map());
         let motion = Se3::exp(&Vector6::new(0.3, -0.2, 0.5, 0.4, 0.1, -0.6));
-        map.move_anchored(&[(KeyframeId(3), motion), (KeyframeId(7), motion)]);
+        map.move_anchored(&Motions::new(&[
+            (KeyframeId(3), motion),
+            (KeyframeId(7), motion),
+        ]));
         for id in 0..4 {
             assert_eq!(map.points().get(id), before.points().get(id));
         }
@@ -203,7 +207,7 @@ mod tests {
             let found = map.points().nearest(&new.unwrap().position, 1e-3);
             assert_eq!(found.unwrap().id, id);
         }
-        map.move_anchored(&[(KeyframeId(3), motion.inverse())]);
+        map.move_anchored(&Motions::new(&[(KeyframeId(3), motion.inverse())]));
         for id in 4..8 {
             let (new, old) = (map.points().get(id), before.points().get(id));
             let error = new.unwrap().position - old.unwrap().position;

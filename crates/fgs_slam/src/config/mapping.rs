@@ -6,6 +6,11 @@ use std::ops::RangeInclusive;
 use fgs_splat::{LearningRates, LossSettings, SettingError};
 use serde::{Deserialize, Serialize};
 
+use crate::machine_memory::machine_memory;
+
+/// By default, where there is memory for them.
+const MOST_GAUSSIANS: usize = 4_000_000;
+
 /// Adaptive seeding (paper, Sec. III-A).
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
@@ -41,7 +46,8 @@ pub struct MappingConfig {
     /// At most so many keyframes stay in memory for optimisation; fewer where images are so large that
     /// they would take more than 2 GB: 97 of 1920x1080, 5 of 12 megapixels.
     pub max_keyframes: usize,
-    /// At most so many gaussians stay in the map; where more are needed, those go that the newest
+    /// At most so many gaussians stay in the map (by default 4 million, and no more than one for each
+    /// kilobyte of the machine's memory); where more are needed, those go that the newest
     /// keyframes do not show and the fewest others do. Each takes about 200 bytes of memory, on a
     /// graphics device 400 to 600. Where the camera stays in a place that needs more, poses drift: what
     /// it comes back to is gone (two centimetres in four rounds of a room with 60 % of what it needs, ten
@@ -76,12 +82,17 @@ impl Default for MappingConfig {
             iterations_per_frame: 2.8,
             covisible_probability: 0.3,
             max_keyframes: 200,
-            max_gaussians: 4_000_000,
+            max_gaussians: affordable_gaussians(machine_memory()),
             prune_every: 200,
             loss: LossSettings::default(),
             learning_rates: LearningRates::default(),
         }
     }
+}
+
+/// A quarter of the memory of small machines. More than that of an apartment take long to optimise.
+fn affordable_gaussians(memory_bytes: u64) -> usize {
+    usize::try_from(memory_bytes >> 10).map_or(MOST_GAUSSIANS, |most| most.min(MOST_GAUSSIANS))
 }
 
 /// Below, a seed is never seen; above, it is larger than any image.
@@ -119,5 +130,16 @@ impl MappingConfig {
         self.learning_rates
             .validate()
             .map_err(|e| e.within("learning_rates"))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_map_takes_a_quarter_of_a_small_machine() {
+        assert_eq!(affordable_gaussians(1 << 30), 1 << 20);
+        assert_eq!(affordable_gaussians(64 << 30), MOST_GAUSSIANS);
     }
 }

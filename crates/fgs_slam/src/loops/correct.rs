@@ -70,6 +70,23 @@ pub struct Correction {
     pub moves: Vec<(KeyframeId, Se3)>,
 }
 
+impl Correction {
+    /// Keyframes that joined the graph while the correction was worked out move with the one that they were
+    /// tracked from.
+    pub fn extend_to(&mut self, graph: &KeyframeGraph) {
+        let Some(&(newest, _)) = self.moves.last() else {
+            return;
+        };
+        for (id, _) in graph.poses().filter(|(id, _)| *id > newest) {
+            let edge = graph.edges().iter().rev().find(|edge| edge.to == id);
+            let moved = edge.and_then(|edge| self.moves.iter().find(|(id, _)| *id == edge.from));
+            if let Some(&(_, motion)) = moved {
+                self.moves.push((id, motion));
+            }
+        }
+    }
+}
+
 /// What revisits mean for a graph; `None` if they contradict its other edges. If they are of two sub-maps, the
 /// newer comes to the older.
 pub fn correction(
@@ -214,6 +231,26 @@ mod tests {
             "{aside:?}"
         );
         assert!((0.2..0.8).contains(&(aside[10] / whole)), "{aside:?}");
+    }
+
+    #[test]
+    fn what_joined_meanwhile_moves_with_what_it_was_tracked_from() {
+        let mut graph = drifted();
+        let mut correction = correction(&graph, &one(), [&right(0, 18), &right(1, 19)]).unwrap();
+        for (from, to) in [(19, 20), (20, 21), (3, 22)] {
+            let (from, to) = (KeyframeId(from), KeyframeId(to));
+            let pose = *graph.pose(from).unwrap() * at(STEP_M, 0.0);
+            graph.add_keyframe(to, pose);
+            let information = Matrix6::identity() * 1e6;
+            let edge = successive_edge(from, to, at(STEP_M, 0.0), &information);
+            graph.add_edge(edge.unwrap()).unwrap();
+        }
+        // Nothing says where it hangs.
+        graph.add_keyframe(KeyframeId(23), at(0.0, 0.0));
+        correction.extend_to(&graph);
+        let motions: Vec<Se3> = correction.moves.iter().map(|(_, motion)| *motion).collect();
+        assert_eq!(motions.len(), 23);
+        assert_eq!(motions[20..], [motions[19], motions[19], motions[3]]);
     }
 
     #[test]

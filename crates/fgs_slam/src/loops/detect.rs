@@ -1,7 +1,7 @@
 //! Which old keyframes a new one may show again.
 
 use std::cmp::Reverse;
-use std::collections::{BTreeMap, BinaryHeap};
+use std::collections::BinaryHeap;
 
 use fgs_geom::{KeyframeId, Se3};
 use fgs_graph::{KeyframeGraph, RobustKernel};
@@ -37,40 +37,52 @@ const MAX_DRIFT: f64 = 0.03;
 const MAX_DRIFT_RAD_PER_M: f64 = 0.01;
 
 /// The way that the camera has come between a keyframe and others.
-pub struct Ways(BTreeMap<KeyframeId, f64>);
+pub struct Ways {
+    /// Ascending.
+    ids: Vec<KeyframeId>,
+    /// To each of them.
+    metres: Vec<f64>,
+}
 
 impl Ways {
     /// The shortest ways over the graph's edges. A loop leaves out the way round: what it connects
     /// has been measured.
     pub fn from(graph: &KeyframeGraph, start: KeyframeId) -> Self {
-        let mut edges: BTreeMap<KeyframeId, Vec<(KeyframeId, f64)>> = BTreeMap::new();
+        let ids: Vec<KeyframeId> = graph.poses().map(|(id, _)| id).collect();
+        let mut metres = vec![f64::INFINITY; ids.len()];
+        let mut edges = vec![Vec::new(); ids.len()];
+        let place_of = |id: &KeyframeId| ids.binary_search(id).ok();
         for edge in graph.edges() {
+            let (Some(from), Some(to)) = (place_of(&edge.from), place_of(&edge.to)) else {
+                continue;
+            };
             let way = match edge.kernel {
                 RobustKernel::Quadratic => way(&edge.from_from_to),
                 RobustKernel::DynamicCovarianceScaling { .. } => 0.0,
             };
-            edges.entry(edge.from).or_default().push((edge.to, way));
-            edges.entry(edge.to).or_default().push((edge.from, way));
+            edges[from].push((to, way));
+            edges[to].push((from, way));
         }
         // Dijkstra's algorithm. Of numbers that are not negative, the bits are in their order.
-        let mut ways = BTreeMap::new();
-        let mut open = BinaryHeap::from([Reverse((0.0_f64.to_bits(), start))]);
-        while let Some(Reverse((bits, id))) = open.pop() {
-            if ways.contains_key(&id) {
+        let start = place_of(&start).map(|place| Reverse((0.0_f64.to_bits(), place)));
+        let mut open: BinaryHeap<_> = start.into_iter().collect();
+        while let Some(Reverse((bits, place))) = open.pop() {
+            if metres[place].is_finite() {
                 continue;
             }
             let so_far = f64::from_bits(bits);
-            ways.insert(id, so_far);
-            for (next, way) in edges.get(&id).into_iter().flatten() {
+            metres[place] = so_far;
+            for (next, way) in &edges[place] {
                 open.push(Reverse(((so_far + way).to_bits(), *next)));
             }
         }
-        Self(ways)
+        Self { ids, metres }
     }
 
     /// The way to a keyframe, metres; infinite if nothing connects the two.
     pub fn to(&self, id: KeyframeId) -> f64 {
-        self.0.get(&id).copied().unwrap_or(f64::INFINITY)
+        let place = self.ids.binary_search(&id);
+        place.map_or(f64::INFINITY, |place| self.metres[place])
     }
 
     /// Whether a keyframe was left long ago. One that nothing connects is not: how it lies cannot be

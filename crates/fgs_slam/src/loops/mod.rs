@@ -26,8 +26,8 @@ use crate::relocalizer::Relocalizer;
 use crate::sparse_map::SparseMap;
 use crate::submaps::Submaps;
 
-pub use correct::{Correction, successive_edge};
-use correct::{agree, correction};
+use correct::agree;
+pub use correct::{Correction, correction, successive_edge};
 use detect::{Ways, candidates, candidates_apart};
 use verify::{LOOP, MEETING, Revisit, Seen, verify};
 
@@ -52,16 +52,17 @@ pub struct LoopCloser {
 }
 
 impl LoopCloser {
-    /// What a keyframe that joined the graph means for it: `None` mostly, and a correction if it and
-    /// another before it have found the same drift.
-    pub fn close(
+    /// Whether a keyframe that joined the graph shows a place that was left long ago. Mostly it does not; if it
+    /// and another before it have found the same drift, both revisits are returned, and how the keyframes should
+    /// move is for [`correction`] to say.
+    pub fn find(
         &mut self,
         id: KeyframeId,
         frame: &RgbdFrame,
         graph: &KeyframeGraph,
         submaps: &Submaps,
         memory: &Memory,
-    ) -> Option<Correction> {
+    ) -> Option<[Revisit; 2]> {
         let ways = Ways::from(graph, id);
         (self.waiting).retain(|revisit| ways.to(revisit.new) <= PATIENCE_M);
         let similar = memory.places.similar_to(frame);
@@ -80,12 +81,13 @@ impl LoopCloser {
         let revisit = verify(seen, &apart, &MEETING, |_, _| true, graph, memory)
             .or_else(|| verify(seen, &candidates, &LOOP, is_drift, graph, memory))?;
         let confirmed = (self.waiting.iter()).find(|earlier| agree(earlier, &revisit, graph));
-        let closed = confirmed.and_then(|earlier| correction(graph, submaps, [earlier, &revisit]));
-        if closed.is_some() {
-            self.waiting.clear();
-        } else {
-            self.waiting.push(revisit);
-        }
-        closed
+        let both = confirmed.map(|earlier| [earlier.clone(), revisit.clone()]);
+        self.waiting.push(revisit);
+        both
+    }
+
+    /// A loop has been closed: what waits is no news any more.
+    pub fn forget(&mut self) {
+        self.waiting.clear();
     }
 }

@@ -117,13 +117,9 @@ impl Remembered {
         drift: &Se3,
     ) -> Option<Correction> {
         let keyframe = self.show(id, sequence, frame, drift);
-        closer.close(
-            keyframe.id,
-            &keyframe.frame,
-            &self.graph,
-            &self.submaps,
-            &self.memory(),
-        )
+        let (graph, submaps) = (&self.graph, &self.submaps);
+        let revisits = closer.find(keyframe.id, &keyframe.frame, graph, submaps, &self.memory())?;
+        correction(graph, submaps, revisits.each_ref())
     }
 }
 

@@ -3,6 +3,7 @@
 //! folder with threads.
 
 mod budget;
+mod correcting;
 mod drive;
 mod live;
 mod lockstep;
@@ -29,6 +30,7 @@ use crate::prepare::KeyframePreparer;
 use preparation::Preparation;
 use worker::{MapperWorker, Ready};
 
+pub(crate) use correcting::Correcting;
 pub use drive::{drive, drive_with};
 pub use live::{live, live_with};
 pub(crate) use mapping::{MapperGone, Mapping, Moves};

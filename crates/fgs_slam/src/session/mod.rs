@@ -1,14 +1,18 @@
 //! A session: frames in, one by one; poses, events and a map out. Everything that runs the system
 //! drives this one type.
 
+mod closing;
+mod error;
+mod output;
+
 use std::collections::BTreeSet;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 use std::time::{Duration, Instant};
 
-use fgs_geom::{Camera, FrameError, FrameIndex, KeyframeId, RgbdFrame, Se3};
+use fgs_geom::{Camera, FrameIndex, KeyframeId, RgbdFrame, Se3};
 use fgs_graph::KeyframeGraph;
-use fgs_splat::{GaussianModel, Gaussians, LossError, ModelError, SettingError, Target};
+use fgs_splat::{GaussianModel, Gaussians, Target};
 use rayon::ThreadPool;
 
 use crate::config::SlamConfig;
@@ -17,15 +21,16 @@ use crate::frame_result::{FrameResult, FrameStatus};
 use crate::holdout::Holdout;
 use crate::keyframes::{Admission, FrameWork, Keyframe, KeyframeKind};
 use crate::loops::{LoopCloser, successive_edge};
-use crate::mapper::MapperError;
 use crate::refinement::RefinedMap;
 use crate::saved_session::{RecordedFrame, SavedSession};
-use crate::seam::Seam;
 use crate::separation::Separation;
 use crate::submaps::Submaps;
-use crate::system::{self, Execution, MapStatus, MapperGone, Mapping, Moves};
+use crate::system::{self, Correcting, Execution, MapStatus, Mapping, Moves};
 use crate::tracker::Tracker;
 use crate::verdict::Verdict;
+
+pub use error::SlamError;
+pub use output::{FurtherMap, KeyframeRecord, SlamOutput, Timings};
 
 /// Follows a camera and maps what it sees.
 ///
@@ -44,6 +49,7 @@ pub struct Slam {
     submaps: Submaps,
     closes_loops: bool,
     loops: LoopCloser,
+    correcting: Correcting,
     closed_loops: usize,
     keyframes: Vec<(KeyframeId, KeyframeKind, FrameIndex)>,
     frames: Vec<RecordedFrame>,
@@ -56,126 +62,6 @@ pub struct Slam {
     start: Instant,
     /// Wall time before `start`, in sessions that this one goes on with.
     elapsed: Duration,
-}
-
-/// What a session found. What it could not connect lies in sub-maps: number 0 is that with the most keyframes,
-/// the others follow by size. Each has axes of its own, those of its first camera.
-#[derive(Debug)]
-#[non_exhaustive]
-pub struct SlamOutput {
-    /// Every frame in its order, with its pose after all corrections.
-    pub frames: Vec<FrameResult>,
-    /// The keyframes, in order.
-    pub keyframes: Vec<KeyframeRecord>,
-    /// The keyframes' poses, each in its sub-map, and how they hang together.
-    pub graph: KeyframeGraph,
-    /// How often a loop was closed, or sub-maps were joined.
-    pub loops: usize,
-    /// The map of sub-map 0 when the recording had ended.
-    pub gaussians: Gaussians,
-    /// The same after refinement; `None` if none was asked for or not a single step was taken.
-    pub refined: Option<RefinedMap>,
-    /// The maps of the further sub-maps, from number 1 on.
-    pub further: Vec<FurtherMap>,
-    /// Bytes that the map took on a graphics device at the end.
-    pub device_bytes: u64,
-    /// Where the time went.
-    pub timings: Timings,
-    /// Why the mapper could not go on, which ended the session early.
-    pub failure: Option<MapperError>,
-}
-
-/// The map of a sub-map that is not the largest, in its own axes.
-#[derive(Clone, Debug, PartialEq)]
-pub struct FurtherMap {
-    /// When the recording had ended.
-    pub gaussians: Gaussians,
-    /// After refinement, if there was any.
-    pub refined: Option<Gaussians>,
-}
-
-/// A keyframe's place in the recording.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct KeyframeRecord {
-    /// Its name.
-    pub id: KeyframeId,
-    /// The frame, of the recording that the keyframe came from.
-    pub index: FrameIndex,
-    /// What it is for.
-    pub kind: KeyframeKind,
-    /// The sub-map that it is in.
-    pub submap: usize,
-    /// Its pose after all corrections.
-    pub world_from_camera: Se3,
-}
-
-/// Wall-clock times of a session, without refinement.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Timings {
-    /// From the session's start to the last step done, decoding included.
-    pub total: Duration,
-    /// All the mapper's work.
-    pub mapping: Duration,
-    /// Optimisation steps taken.
-    pub steps: usize,
-}
-
-/// Why a session refuses a call.
-#[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
-pub enum SlamError {
-    /// A setting is impossible.
-    #[error(transparent)]
-    Setting(#[from] SettingError),
-    /// Threads do not start.
-    #[error("cannot start the threads that compute: {0}")]
-    Threads(#[from] std::io::Error),
-    /// The frame is not of the session's camera.
-    #[error("frame {} is not of this session's camera: {frame:?}, expected {session:?}", index.0)]
-    OtherCamera {
-        /// Which frame.
-        index: FrameIndex,
-        /// Its camera.
-        frame: Box<Camera>,
-        /// The session's.
-        session: Box<Camera>,
-    },
-    /// Two maps are of different cameras.
-    #[error(
-        "the maps are of different cameras: {}x{} with fx = {} and {}x{} with fx = {}",
-        first.width, first.height, first.intrinsics.fx,
-        second.width, second.height, second.intrinsics.fx
-    )]
-    OtherCameras {
-        /// Of the first map.
-        first: Box<Camera>,
-        /// Of the second.
-        second: Box<Camera>,
-    },
-    /// The frame's images or values were changed into something impossible.
-    #[error(transparent)]
-    Frame(#[from] FrameError),
-    /// There is no keyframe of this name.
-    #[error("there is no keyframe {0:?}")]
-    NoSuchKeyframe(KeyframeId),
-    /// A saved session contradicts itself.
-    #[error("what was saved of a session contradicts itself")]
-    Inconsistent,
-    /// A saved map cannot be taken over.
-    #[error(transparent)]
-    Model(#[from] ModelError),
-    /// The images of a saved keyframe do not belong together.
-    #[error(transparent)]
-    Images(#[from] LossError),
-    /// The mapper has failed; [`Slam::finish`] says why and returns what there was.
-    #[error("the mapper has stopped")]
-    MapperStopped,
-}
-
-impl From<MapperGone> for SlamError {
-    fn from(_: MapperGone) -> Self {
-        Self::MapperStopped
-    }
 }
 
 impl Slam {
@@ -270,6 +156,7 @@ impl Slam {
             submaps: saved.submaps,
             closes_loops: config.loops.enabled,
             loops: saved.loops,
+            correcting: Correcting::new(execution),
             closed_loops: saved.closed_loops,
             keyframes: saved.keyframes,
             frames: saved.frames,
@@ -301,6 +188,7 @@ impl Slam {
     /// # Errors
     /// If the mapper has stopped.
     pub fn save(&mut self) -> Result<SavedSession, SlamError> {
+        self.await_correction()?;
         let mapping = self.mapping.save()?;
         Ok(SavedSession {
             camera: self.camera,
@@ -353,6 +241,7 @@ impl Slam {
         let frame = Arc::new(frame);
         self.tracker.remove_points(&self.map.take_removed());
         self.take_moves();
+        self.take_correction()?;
         take_aligned(&self.map, &mut self.frames);
         let admission = self.admission(frame.index);
         let tracker = &mut self.tracker;
@@ -420,9 +309,15 @@ impl Slam {
     /// # Errors
     /// If a keyframe is unknown (nothing has moved then) or the mapper has stopped.
     pub fn move_keyframes(&mut self, moves: &[(KeyframeId, Se3)]) -> Result<(), SlamError> {
+        self.await_correction()?;
         if let Some((id, _)) = moves.iter().find(|(id, _)| self.graph.pose(*id).is_none()) {
             return Err(SlamError::NoSuchKeyframe(*id));
         }
+        self.apply(moves)
+    }
+
+    /// Moves known keyframes and all that hangs on them.
+    fn apply(&mut self, moves: &[(KeyframeId, Se3)]) -> Result<(), SlamError> {
         self.graph.move_keyframes(moves);
         self.tracker.move_keyframes(moves);
         self.mapping.move_keyframes(&Moves::from(moves))?;
@@ -461,6 +356,8 @@ impl Slam {
     /// [`MappingConfig::max_keyframes`](crate::MappingConfig::max_keyframes)), drawn at random, to each
     /// equally often up to one.
     pub fn finish_refined(mut self, steps: usize, stop: &AtomicBool) -> SlamOutput {
+        // If the mapper has stopped, the output says why.
+        let _ = self.await_correction();
         let closing = self.tracker.finish();
         if let Some(keyframe) = &closing {
             self.add_keyframe(keyframe);
@@ -589,46 +486,6 @@ impl Slam {
     /// Takes over where the mapper put keyframes.
     pub(crate) fn take_moves(&mut self) {
         take_moved(&self.map, &mut self.graph, &mut self.tracker, &self.events);
-    }
-
-    /// Whether a keyframe from a number on is in a sub-map with one before it.
-    pub(crate) fn has_joined(&self, begin: KeyframeId) -> bool {
-        let submaps_of = |is_wanted: &dyn Fn(KeyframeId) -> bool| {
-            let ids = self.graph.poses().map(|(id, _)| id);
-            let ids = ids.filter(|id| is_wanted(*id));
-            ids.map(|id| self.submaps.of(id)).collect::<BTreeSet<_>>()
-        };
-        !submaps_of(&|id| id < begin).is_disjoint(&submaps_of(&|id| id >= begin))
-    }
-
-    /// Takes out what has drifted since the camera was last where a keyframe finds it.
-    pub(crate) fn find_loop(&mut self, id: KeyframeId, frame: &RgbdFrame) -> Result<(), SlamError> {
-        self.take_moves();
-        let memory = self.tracker.memory();
-        let Some(correction) = (self.loops).close(id, frame, &self.graph, &self.submaps, &memory)
-        else {
-            return Ok(());
-        };
-        let seam = correction
-            .edges
-            .last()
-            .map(|edge| Seam::between(&self.graph, &self.submaps, edge.from, edge.to));
-        for edge in correction.edges {
-            let (from, to) = (edge.from, edge.to);
-            if self.graph.add_edge(edge).is_ok() {
-                self.submaps.join(from, to);
-                self.events.publish(|| SlamEvent::Loop { from, to });
-            }
-        }
-        self.closed_loops += 1;
-        if correction.moves.is_empty() {
-            return Ok(());
-        }
-        self.move_keyframes(&correction.moves)?;
-        match seam {
-            Some(seam) => Ok(self.mapping.mend(seam)?),
-            None => Ok(()),
-        }
     }
 
     pub(crate) fn next_index(&self) -> FrameIndex {

@@ -2,48 +2,51 @@
 //! the sparse map at tracking keyframes. A plain struct without threads.
 //!
 //! A frame is registered from where the motion model expects it. If what is found there is doubtful,
-//! other starts are tried (relocalizer.rs), and the best pose is judged (verdict.rs). Where a lost camera
-//! is found by the look of a place, a second frame has to agree. One that is not found for a while starts a
-//! sub-map (submaps.rs).
+//! other starts are tried (search.rs), and the best pose is judged (verdict.rs). Where a lost camera is
+//! found by the look of a place, a second frame has to agree; one that is not found for a while starts a
+//! sub-map (footing.rs).
 //!
-//! What moves is left out (moving.rs), and the frame registered again without it.
+//! What moves is left out (sighting.rs), and the frame registered again without it.
 //!
 //! Differs from the paper: it starts from a constant-velocity prediction, its target grows
 //! incrementally, every frame gets a verdict instead of a silent failure, and what the rows of a
 //! rolling shutter saw is brought to one moment.
 
+mod footing;
+mod saved;
+mod search;
+mod sighting;
+
 use std::sync::Arc;
 use std::time::Instant;
 
-use fgs_features::Features;
 use fgs_geom::{Camera, KeyframeId, RgbdFrame, Se3};
 use fgs_gicp::{DepthGrid, Point, SurfacePoint};
 use fgs_splat::SparseId;
-use nalgebra::{UnitQuaternion, Vector3};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use crate::color_aligner::ColorAligner;
 use crate::config::{KeyframeConfig, SlamConfig};
 use crate::frame_result::TrackingQuality;
-use crate::keyframes::{Admission, FrameWork, Keyframe, KeyframeKind, KeyframePolicy, NewPoint};
+use crate::keyframes::{
+    Admission, FrameWork, Keyframe, KeyframeKind, KeyframePolicy, Motions, NewPoint,
+};
 use crate::loops::Memory;
 use crate::map_alignment::FrameToAlign;
-use crate::merge::Renumbering;
 use crate::motion::MotionModel;
 use crate::moving::{Moving, MovingThings};
 use crate::registrar::{Attempt, Known, Located, Measured, Registrar, Start, shared};
-use crate::relocalizer::{Guess, Relocalizer, follows};
+use crate::relocalizer::Relocalizer;
 use crate::repeats::{Clock, LatestFrame, Repeat};
-use crate::sparse_map::{SavedSparseMap, SparseMap};
-use crate::submaps::APART_M;
+use crate::sparse_map::SparseMap;
 use crate::surface::tracking_grid;
-use crate::two_motions::{Suspicion, UsualFit};
-use crate::verdict::{Hold, Verdict};
+use crate::two_motions::UsualFit;
+use crate::verdict::Verdict;
 
-/// A camera is lost for good when it has not been found in so many frames that show what the frame before each
-/// shows, less those that do not: it sees well, but nothing that is known.
-const MAX_FOLLOWED: usize = 12;
+use footing::Footing;
+pub use saved::SavedTracker;
+use sighting::Sighting;
 
 /// Finds the poses of frames.
 pub struct Tracker {
@@ -82,125 +85,6 @@ impl<F> Unmapped<F> {
             located: self.located,
             home: self.home,
         }
-    }
-}
-
-/// A frame without what moves in it.
-struct Sighting {
-    found: Option<Attempt>,
-    points: Vec<SurfacePoint>,
-    /// What was left out.
-    moving: Option<Moving>,
-    /// It was part of the map before.
-    something_left: bool,
-    /// Whether it may not as well be the camera that moved.
-    is_sure: bool,
-}
-
-impl Sighting {
-    /// Of a frame in which all stands still.
-    fn whole(found: Option<Attempt>, points: Vec<SurfacePoint>) -> Self {
-        Self {
-            found,
-            points,
-            moving: None,
-            something_left: false,
-            is_sure: true,
-        }
-    }
-}
-
-/// What the camera's last pose is worth.
-#[derive(Clone, Default, Serialize, Deserialize)]
-enum Footing {
-    /// It is trusted.
-    #[default]
-    Firm,
-    /// The camera is lost. So many frames showed what the one before each showed, less those that did not.
-    Lost { followed: usize },
-    /// One frame says where it is. If the next does not agree, what was before is taken up.
-    Found {
-        motion_before: Box<MotionModel>,
-        home_before: Option<KeyframeId>,
-    },
-}
-
-/// What a tracker remembers, as plain data, apart from its keyframes.
-#[derive(Default, Serialize, Deserialize)]
-pub struct SavedTracker {
-    frames_since_keyframe: Option<usize>,
-    map: SavedSparseMap,
-    motion: MotionModel,
-    moving: MovingThings,
-    usual_fit: UsualFit,
-    footing: Footing,
-    clock: Clock,
-    frames: SavedFrames,
-    latest: Option<LatestFrame<usize>>,
-    last: Option<(usize, Se3)>,
-    home: Option<KeyframeId>,
-    unmapped: Option<Unmapped<usize>>,
-}
-
-/// The frames that a tracker remembers, mostly one in several roles: each once, named by its place.
-#[derive(Default, Serialize, Deserialize)]
-struct SavedFrames(Vec<Arc<RgbdFrame>>);
-
-impl SavedFrames {
-    fn place_of(&mut self, frame: &Arc<RgbdFrame>) -> usize {
-        let place = self.0.iter().position(|saved| Arc::ptr_eq(saved, frame));
-        place.unwrap_or_else(|| {
-            self.0.push(Arc::clone(frame));
-            self.0.len() - 1
-        })
-    }
-
-    /// `None` if there is none.
-    fn get(&self, place: usize) -> Option<Arc<RgbdFrame>> {
-        self.0.get(place).map(Arc::clone)
-    }
-}
-
-impl SavedTracker {
-    /// The camera is lost, and nothing is known of where it has been.
-    pub fn lose(&mut self) {
-        *self = Self {
-            frames_since_keyframe: self.frames_since_keyframe,
-            map: std::mem::take(&mut self.map),
-            footing: Footing::Lost { followed: 0 },
-            ..Self::default()
-        };
-    }
-
-    /// The number of the next sparse point.
-    pub fn next_point(&self) -> u32 {
-        self.map.next_id()
-    }
-
-    /// Takes in another's sparse map.
-    pub fn append(&mut self, other: Self, renumbering: Renumbering) {
-        self.map.append(other.map, renumbering);
-    }
-
-    /// Whether what it remembers is of a camera.
-    pub fn is_of(&self, camera: &Camera) -> bool {
-        let is_sound = |frame: &Arc<RgbdFrame>| frame.camera == *camera && frame.check().is_ok();
-        let last = self.last.iter().map(|(place, _)| *place);
-        let latest = self.latest.iter().map(|latest| latest.frame);
-        let unmapped = self.unmapped.iter().map(|unmapped| unmapped.frame);
-        self.moving.are_of(camera)
-            && self.frames.0.iter().all(is_sound)
-            && (last.chain(latest).chain(unmapped)).all(|place| place < self.frames.0.len())
-    }
-
-    /// The keyframes that it is tracked from, or was.
-    pub fn homes(&self) -> impl Iterator<Item = KeyframeId> {
-        let before = match &self.footing {
-            Footing::Found { home_before, .. } => *home_before,
-            Footing::Firm | Footing::Lost { .. } => None,
-        };
-        let unmapped = self.unmapped.as_ref().and_then(|unmapped| unmapped.home);
-        self.home.into_iter().chain(before).chain(unmapped)
     }
 }
 
@@ -266,32 +150,6 @@ impl Tracker {
     fn remember_place(&mut self, keyframe: &Keyframe) {
         if let Some(forgotten) = self.relocalizer.add(keyframe) {
             self.color.forget(forgotten);
-        }
-    }
-
-    /// Everything but the settings and the keyframes.
-    pub fn save(&self) -> SavedTracker {
-        let mut frames = SavedFrames::default();
-        let last = self.relocalizer.last();
-        let last = last.map(|(frame, pose)| (frames.place_of(frame), *pose));
-        let latest = self.latest.as_ref();
-        let latest = latest.map(|latest| latest.with_frame(frames.place_of(&latest.frame)));
-        let unmapped = self.unmapped.as_ref();
-        let unmapped =
-            unmapped.map(|unmapped| unmapped.with_frame(frames.place_of(&unmapped.frame)));
-        SavedTracker {
-            frames_since_keyframe: self.policy.frames_since_keyframe(),
-            map: self.map.save(),
-            motion: self.motion.clone(),
-            moving: self.moving.clone(),
-            usual_fit: self.usual_fit.clone(),
-            footing: self.footing.clone(),
-            clock: self.clock,
-            frames,
-            latest,
-            last,
-            home: self.home,
-            unmapped,
         }
     }
 
@@ -403,103 +261,6 @@ impl Tracker {
         tracked
     }
 
-    /// Finds a frame, without what moves in it.
-    fn sight(&mut self, frame: &Arc<RgbdFrame>, admission: Admission) -> Sighting {
-        let points = self.grid.surface_points(&frame.depth_m, &frame.camera);
-        let Some(attempt) = self.find(frame, &points, admission) else {
-            return Sighting::whole(None, points);
-        };
-        let suspicion = self.investigate(frame, &points, &attempt);
-        let mut pose = attempt.located.world_from_camera;
-        let mut moves = Vec::new();
-        let mut is_sure = matches!(suspicion, Suspicion::Unfounded);
-        let mut something_left = false;
-        if let Suspicion::Founded(two) = suspicion {
-            let depth_from_color = frame.depth_sensor.color_from_depth.inverse();
-            pose = two.world_from_depth * depth_from_color;
-            moves = (points.iter().zip(&two.moves))
-                .filter_map(|(point, moves)| moves.then_some((point.u, point.v)))
-                .collect();
-            is_sure = two.is_clear;
-            something_left = true;
-        }
-        let Some(moving) = self.moving.find(frame, &pose, &moves) else {
-            return Sighting {
-                is_sure: is_sure && !something_left,
-                ..Sighting::whole(Some(attempt), points)
-            };
-        };
-        if something_left {
-            // What the camera seemed to do since was the other's motion.
-            self.motion = self.usual_fit.motion().clone();
-        }
-        let still = Arc::new(moving.left_out_of(frame));
-        let points = self.grid.surface_points(&still.depth_m, &still.camera);
-        Sighting {
-            found: self.find(&still, &points, admission),
-            points,
-            moving: Some(moving),
-            something_left,
-            is_sure,
-        }
-    }
-
-    /// Whether something began to move in a frame that is about to be believed.
-    fn investigate(
-        &self,
-        frame: &Arc<RgbdFrame>,
-        points: &[SurfacePoint],
-        attempt: &Attempt,
-    ) -> Suspicion {
-        if attempt.verdict == Verdict::Lost || !matches!(self.footing, Footing::Firm) {
-            return Suspicion::Unfounded;
-        }
-        let measured = Measured {
-            frame,
-            points,
-            seconds: self.clock.now_secs(),
-        };
-        (self.usual_fit).investigate(&self.registrar, measured, self.known(), attempt)
-    }
-
-    /// Where a camera begins a sub-map that has been lost for a while and sees well; `None` if it does not.
-    fn start_elsewhere(&mut self, frame: &Arc<RgbdFrame>, admission: Admission) -> Option<Attempt> {
-        let Footing::Lost { followed } = &mut self.footing else {
-            return None;
-        };
-        let before = self.latest.as_ref()?;
-        let can_be_followed = follows(frame, &before.frame);
-        *followed = if can_be_followed {
-            *followed + 1
-        } else {
-            followed.saturating_sub(1)
-        };
-        if !can_be_followed || *followed < MAX_FOLLOWED || admission != Admission::Allowed {
-            return None;
-        }
-        let height_m = self.relocalizer.highest_m()? + APART_M;
-        let elsewhere = Se3::new(
-            UnitQuaternion::identity(),
-            Vector3::new(0.0, -height_m, 0.0),
-        );
-        let measured = Measured {
-            frame,
-            points: &self.grid.surface_points(&frame.depth_m, &frame.camera),
-            seconds: self.clock.now_secs(),
-        };
-        let nowhere = MotionModel::default();
-        let known = Known {
-            motion: &nowhere,
-            ..self.known()
-        };
-        let attempt = self.registrar.place(measured, known, &elsewhere)?;
-        self.footing = Footing::Firm;
-        self.home = None;
-        self.motion = nowhere;
-        self.moving = MovingThings::default();
-        Some(attempt)
-    }
-
     /// The keyframe that the last trusted frame becomes when the recording ends, so that the map
     /// reaches as far as the camera did; `None` if it already is one.
     pub fn finish(&mut self) -> Option<Keyframe> {
@@ -525,13 +286,11 @@ impl Tracker {
     /// Keyframes were moved, each by its `new_world_from_old_world`: their sparse points move with
     /// them, and the camera with the one that it is tracked from.
     pub fn move_keyframes(&mut self, moves: &[(KeyframeId, Se3)]) {
-        self.map.move_anchored(moves);
-        self.color.move_keyframes(moves);
-        self.relocalizer.move_keyframes(moves);
-        let motion_of = |home: Option<KeyframeId>| {
-            let (_, new_from_old) = moves.iter().find(|(id, _)| Some(*id) == home)?;
-            Some(new_from_old)
-        };
+        let motions = Motions::new(moves);
+        self.map.move_anchored(&motions);
+        self.color.move_keyframes(&motions);
+        self.relocalizer.move_keyframes(&motions);
+        let motion_of = |home: Option<KeyframeId>| motions.of(home?);
         if let Some(new_from_old) = motion_of(self.home) {
             self.motion.move_world(new_from_old);
             self.usual_fit.move_world(new_from_old);
@@ -577,118 +336,6 @@ impl Tracker {
             keyframes: &self.color,
             motion: &self.motion,
         }
-    }
-
-    /// The best pose of a frame that can be found; `None` if it cannot be registered at all, or cannot
-    /// start the map.
-    fn find(
-        &self,
-        frame: &Arc<RgbdFrame>,
-        points: &[SurfacePoint],
-        admission: Admission,
-    ) -> Option<Attempt> {
-        let measured = Measured {
-            frame,
-            points,
-            seconds: self.clock.now_secs(),
-        };
-        if self.newest_keyframe.is_none() {
-            let place = || (self.registrar).place(measured, self.known(), &Se3::identity());
-            return (admission == Admission::Allowed).then(place).flatten();
-        }
-        let attempt = |start: &Start| self.registrar.attempt(measured, self.known(), start);
-        let predict = |device| self.motion.predict(measured.seconds, device);
-        let predicted = predict(frame.device_pose.as_ref());
-        let is_clear = |best: &Option<Attempt>| best.as_ref().is_some_and(|best| !best.is_doubtful);
-        let mut best = predicted.and_then(|predicted| attempt(&Start::predicted(&predicted)));
-        if is_clear(&best) {
-            return best;
-        }
-        // The device's world may have jumped.
-        if predicted.is_some_and(|predicted| predicted.is_by_device) {
-            let steady = predict(None).and_then(|steady| attempt(&Start::predicted(&steady)));
-            best = better(best, steady);
-            if is_clear(&best) {
-                return best;
-            }
-        }
-        let features = Features::detect(measured.frame);
-        let color_from_depth = measured.frame.depth_sensor.color_from_depth;
-        let start_of = |guess: &Guess| {
-            let world_from_depth = guess.world_from_camera * color_from_depth;
-            Start::from_corners(world_from_depth, &guess.information)
-        };
-        for guess in self.relocalizer.guesses_nearby(&features, self.home) {
-            best = better(best, attempt(&start_of(&guess)));
-            if is_clear(&best) {
-                return best;
-            }
-        }
-        if matches!(self.footing, Footing::Firm) {
-            return best;
-        }
-        // Nothing is known of the motion of a camera that is somewhere else.
-        let known = Known {
-            motion: &MotionModel::default(),
-            ..self.known()
-        };
-        for guess in (self.relocalizer).guesses_anywhere(measured.frame, &features) {
-            let relocalized = self.registrar.attempt(measured, known, &start_of(&guess));
-            let relocalized = relocalized.map(|attempt| Attempt {
-                relocalized_by: guess.keyframe,
-                ..attempt
-            });
-            best = better(best, relocalized);
-            if is_clear(&best) {
-                return best;
-            }
-        }
-        best
-    }
-
-    /// What a frame's own verdict is worth after those before it.
-    fn believe(&mut self, attempt: &Attempt) -> Verdict {
-        let own = attempt.verdict;
-        let is_a_find = own == Verdict::Tracked && attempt.evidence.is_a_find();
-        let has_slid =
-            attempt.evidence.hold() == Hold::None && self.motion.has_coasted(self.clock.now_secs());
-        let is_known = is_a_find || matches!(self.footing, Footing::Firm);
-        if own == Verdict::Lost || has_slid || !is_known {
-            self.stumble();
-            return Verdict::Lost;
-        }
-        let is_relocalized = attempt.relocalized_by.is_some();
-        let is_first = matches!(self.footing, Footing::Lost { .. });
-        let needs_another = is_first && (attempt.is_doubtful || is_relocalized);
-        self.footing = if needs_another {
-            Footing::Found {
-                motion_before: Box::new(self.motion.clone()),
-                home_before: self.home,
-            }
-        } else {
-            Footing::Firm
-        };
-        if is_relocalized {
-            self.home = attempt.relocalized_by;
-            self.motion = MotionModel::default();
-        }
-        if needs_another { Verdict::Weak } else { own }
-    }
-
-    /// A frame is lost, and with it what only the frame before said.
-    fn stumble(&mut self) {
-        match &self.footing {
-            Footing::Lost { .. } => return,
-            Footing::Firm => {}
-            Footing::Found {
-                motion_before,
-                home_before,
-            } => {
-                self.motion = (**motion_before).clone();
-                self.home = *home_before;
-            }
-        }
-        self.footing = Footing::Lost { followed: 0 };
     }
 
     /// The camera is where a frame was found.
@@ -812,14 +459,5 @@ impl Tracker {
             .map_or(KeyframeId(0), |newest| KeyframeId(newest.0 + 1));
         self.newest_keyframe = Some(id);
         id
-    }
-}
-
-/// The better of two poses of a frame.
-fn better(a: Option<Attempt>, b: Option<Attempt>) -> Option<Attempt> {
-    let worth = |attempt: &Attempt| (attempt.verdict, attempt.evidence.strength());
-    match (a, b) {
-        (Some(a), Some(b)) => Some(if worth(&b) > worth(&a) { b } else { a }),
-        (a, b) => a.or(b),
     }
 }
