@@ -6,6 +6,7 @@ use fgs_geom::{KeyframeId, Se3};
 use serde::{Deserialize, Serialize};
 
 use crate::edge::Edge;
+use crate::kernel::RobustKernel;
 
 /// Keyframes with their poses, and edges between them.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
@@ -102,12 +103,14 @@ impl KeyframeGraph {
     }
 
     /// Moves keyframes as [`move_keyframes`](Self::move_keyframes) does, and their edges with them:
-    /// for keyframes that were measured anew against what their edges were measured against.
+    /// for keyframes that were measured anew against what their edges were measured against. Edges with a
+    /// robust kernel stay: what was measured between two keyframes does not depend on their poses.
     pub fn remeasure_keyframes(&mut self, moves: &[(KeyframeId, Se3)]) {
         self.move_keyframes(moves);
         for edge in &mut self.edges {
             let is_moved = |end| moves.iter().any(|(id, _)| *id == end);
-            if (is_moved(edge.from) || is_moved(edge.to))
+            if edge.kernel == RobustKernel::Quadratic
+                && (is_moved(edge.from) || is_moved(edge.to))
                 && let (Some(from), Some(to)) =
                     (self.poses.get(&edge.from), self.poses.get(&edge.to))
             {

@@ -5,7 +5,7 @@ use fgs_graph::{Edge, KeyframeGraph, OptimizeSettings, Optimized, RobustKernel};
 use nalgebra::Matrix6;
 
 use super::detect::way;
-use super::verify::{Revisit, with_errors};
+use super::verify::{MAYBE_NEWS, Revisit, with_errors};
 use crate::submaps::Submaps;
 
 /// Tracking drifts by about so much from one keyframe to the next, beside what its registration
@@ -15,8 +15,9 @@ const DRIFT_RAD_PER_M: f64 = 0.005;
 const MIN_DRIFT_M: f64 = 0.001;
 const MIN_DRIFT_RAD: f64 = 0.0005;
 
-/// A loop loses weight from this squared error on: the 95 % quantile with six degrees of freedom.
-const THRESHOLD: f64 = 12.6;
+/// For what images say of each other. It loses weight from this squared error on: the 95 % quantile with six
+/// degrees of freedom.
+const ROBUST: RobustKernel = RobustKernel::DynamicCovarianceScaling { threshold: 12.6 };
 
 /// A loop that is left with less weight contradicts the others.
 const MIN_WEIGHT: f64 = 0.5;
@@ -28,13 +29,20 @@ const MAX_SHIFT_M: f64 = 0.02;
 /// Smaller corrections are not worth their trouble.
 const MIN_MOVE_M: f64 = 1e-4;
 
-/// The edge from a keyframe to the next, whose pose in the world is known with some information.
+/// The edge from a keyframe to the next, whose pose in the world is known with some information. Where
+/// surfaces of long ago come into view that drift has left aside, they pull the camera to themselves, and the
+/// registration knows nothing of it: the corners of both keyframes are believed if they say otherwise.
 pub fn successive_edge(
     from: KeyframeId,
     to: KeyframeId,
     from_from_to: Se3,
     information: &Matrix6<f64>,
+    by_corners: Option<Revisit>,
 ) -> Option<Edge> {
+    let contradiction = by_corners.filter(|corners| corners.error_of(&from_from_to) > MAYBE_NEWS);
+    if let Some(corners) = contradiction {
+        return Some(corners.edge(ROBUST));
+    }
     let way = way(&from_from_to);
     let drift = [
         MIN_DRIFT_RAD + DRIFT_RAD_PER_M * way,
@@ -52,14 +60,30 @@ pub fn successive_edge(
 /// Whether two revisits would move the present alike.
 pub fn agree(a: &Revisit, b: &Revisit, graph: &KeyframeGraph) -> bool {
     let moved = |revisit: &Revisit| {
-        let (old, new) = (graph.pose(revisit.old)?, graph.pose(revisit.new)?);
-        Some(*old * revisit.old_from_new * new.inverse() * *graph.pose(b.new)?)
+        let world_from_new = *graph.pose(revisit.old)? * revisit.old_from_new;
+        Some(world_from_new * motion_between(revisit.new, b.new, graph)?)
     };
     let (Some(by_a), Some(by_b)) = (moved(a), moved(b)) else {
         return false;
     };
     let apart = by_a.inverse() * by_b;
     apart.rotation.angle() <= MAX_TURN_RAD && apart.translation.norm() <= MAX_SHIFT_M
+}
+
+/// How a keyframe lies to one that was tracked from it, or from those that were: as the edges between them say,
+/// which may know better than the poses. Of others, as the poses say.
+fn motion_between(before: KeyframeId, after: KeyframeId, graph: &KeyframeGraph) -> Option<Se3> {
+    let (mut id, mut id_from_after) = (after, Se3::identity());
+    while id > before {
+        let Some(edge) = graph.edges().iter().rfind(|edge| edge.to == id) else {
+            break;
+        };
+        (id, id_from_after) = (edge.from, edge.from_from_to * id_from_after);
+    }
+    if id == before {
+        return Some(id_from_after);
+    }
+    Some(graph.pose(before)?.inverse() * *graph.pose(after)?)
 }
 
 /// Closes loops.
@@ -94,24 +118,14 @@ pub fn correction(
     submaps: &Submaps,
     revisits: [&Revisit; 2],
 ) -> Option<Correction> {
-    let edges = |kernel: RobustKernel| {
-        revisits.map(|revisit| Edge {
-            from: revisit.old,
-            to: revisit.new,
-            from_from_to: revisit.old_from_new,
-            information: revisit.information,
-            kernel,
-        })
-    };
+    let edges = |kernel: RobustKernel| revisits.map(|revisit| revisit.edge(kernel));
     // A robust edge far from its minimum has no pull. So loops are closed first, and then asked
     // whether they fit.
     let mut start = graph.clone();
     start.move_keyframes(&meeting(graph, submaps, revisits[1])?);
     let closed = optimized(&start, &edges(RobustKernel::Quadratic))?;
     start.move_keyframes(&closed.corrections);
-    let edges = edges(RobustKernel::DynamicCovarianceScaling {
-        threshold: THRESHOLD,
-    });
+    let edges = edges(ROBUST);
     let settled = optimized(&start, &edges)?;
     let fits = settled
         .weights
@@ -194,7 +208,8 @@ mod tests {
             graph.add_keyframe(id, at(ahead, 0.01 * ahead));
             if let Some(from) = i.checked_sub(1).map(KeyframeId) {
                 let step = at(STEP_M, 0.01 * STEP_M);
-                let edge = successive_edge(from, id, step, &(Matrix6::identity() * 1e6));
+                let information = Matrix6::identity() * 1e6;
+                let edge = successive_edge(from, id, step, &information, None);
                 graph.add_edge(edge.unwrap()).unwrap();
             }
         }
@@ -242,7 +257,7 @@ mod tests {
             let pose = *graph.pose(from).unwrap() * at(STEP_M, 0.0);
             graph.add_keyframe(to, pose);
             let information = Matrix6::identity() * 1e6;
-            let edge = successive_edge(from, to, at(STEP_M, 0.0), &information);
+            let edge = successive_edge(from, to, at(STEP_M, 0.0), &information, None);
             graph.add_edge(edge.unwrap()).unwrap();
         }
         // Nothing says where it hangs.
@@ -251,6 +266,31 @@ mod tests {
         let motions: Vec<Se3> = correction.moves.iter().map(|(_, motion)| *motion).collect();
         assert_eq!(motions.len(), 23);
         assert_eq!(motions[20..], [motions[19], motions[19], motions[3]]);
+    }
+
+    #[test]
+    fn corners_are_believed_where_tracking_was_pulled_aside() {
+        let (from, to) = (KeyframeId(17), KeyframeId(18));
+        let edge = |pulled_m: f64| {
+            let tracked = at(STEP_M, pulled_m);
+            let information = Matrix6::identity() * 1e6;
+            let corners = revisit(17, 18, at(STEP_M, 0.001));
+            successive_edge(from, to, tracked, &information, Some(corners)).unwrap()
+        };
+        let (whole, torn) = (edge(0.004), edge(0.05));
+        assert_eq!(whole.from_from_to, at(STEP_M, 0.004));
+        assert_eq!(whole.kernel, RobustKernel::Quadratic);
+        assert_eq!(torn.from_from_to, at(STEP_M, 0.001));
+        assert_eq!(torn.kernel, ROBUST);
+        // Two revisits agree although the pose of the keyframe between them is torn.
+        let mut graph = KeyframeGraph::new();
+        graph.add_keyframe(KeyframeId(0), at(0.0, 0.0));
+        graph.add_keyframe(from, at(17.0 * STEP_M, 0.1));
+        graph.add_keyframe(to, at(18.0 * STEP_M, 0.15));
+        let revisits = [right(0, 17), right(0, 18)];
+        assert!(!agree(&revisits[0], &revisits[1], &graph));
+        graph.add_edge(torn).unwrap();
+        assert!(agree(&revisits[0], &revisits[1], &graph));
     }
 
     #[test]
@@ -304,7 +344,8 @@ mod tests {
             submaps.add(KeyframeId(i), previous.map(KeyframeId), pose.translation);
             if let Some(from) = previous.map(KeyframeId) {
                 let step = at(STEP_M, 0.0);
-                let edge = successive_edge(from, KeyframeId(i), step, &(Matrix6::identity() * 1e6));
+                let information = Matrix6::identity() * 1e6;
+                let edge = successive_edge(from, KeyframeId(i), step, &information, None);
                 graph.add_edge(edge.unwrap()).unwrap();
             }
         }

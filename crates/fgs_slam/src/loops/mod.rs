@@ -29,6 +29,7 @@ use crate::submaps::Submaps;
 use correct::agree;
 pub use correct::{Correction, correction, successive_edge};
 use detect::{Ways, candidates, candidates_apart};
+pub use verify::seen_by_both;
 use verify::{LOOP, MEETING, Revisit, Seen, verify};
 
 /// A revisit waits for another to agree while the camera comes so far, metres.

@@ -67,7 +67,8 @@ impl Remembered {
             && let Some(world_from_before) = self.graph.pose(from)
         {
             let motion = world_from_before.inverse() * pose;
-            let edge = successive_edge(from, id, motion, &(Matrix6::identity() * 1e6));
+            let information = Matrix6::identity() * 1e6;
+            let edge = successive_edge(from, id, motion, &information, None);
             self.graph.add_edge(edge.unwrap()).unwrap();
         }
     }

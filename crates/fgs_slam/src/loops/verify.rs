@@ -4,13 +4,14 @@
 use fgs_direct::IntensityPyramid;
 use fgs_geom::{KeyframeId, RgbdFrame, Se3};
 use fgs_gicp::{Point, PointMap, Settings, SurfacePoint, align};
-use fgs_graph::KeyframeGraph;
+use fgs_graph::{Edge, KeyframeGraph, RobustKernel};
 use nalgebra::{Matrix6, Vector6};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use super::Memory;
 use super::detect::Ways;
+use crate::relocalizer::Relocalizer;
 
 /// What must speak for a revisit.
 pub struct Limits {
@@ -59,8 +60,9 @@ const SURFACES_FLOOR: [f64; 2] = [0.005, 0.006];
 /// 99 % of the squared errors of a right prediction are smaller (six degrees of freedom).
 const MAX_CHI2: f64 = 16.8;
 
-/// What corners alone find is worth a registration beyond this squared error.
-const MAYBE_NEWS: f64 = 4.0;
+/// What corners alone find is worth a look beyond this squared error: of successive keyframes on recordings
+/// that are tracked well, two in a hundred differ by more from the corners of both.
+pub const MAYBE_NEWS: f64 = 4.0;
 
 /// A place seen again.
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -78,6 +80,23 @@ impl Revisit {
     pub fn drift(&self, graph: &KeyframeGraph) -> Option<Se3> {
         let (old, new) = (graph.pose(self.old)?, graph.pose(self.new)?);
         Some(new.inverse() * *old * self.old_from_new)
+    }
+
+    /// The squared error of another measurement of the same, in standard deviations of this one.
+    pub fn error_of(&self, old_from_new: &Se3) -> f64 {
+        let off = (self.old_from_new.inverse() * *old_from_new).log();
+        off.dot(&(self.information * off))
+    }
+
+    /// What the graph is told of it.
+    pub fn edge(&self, kernel: RobustKernel) -> Edge {
+        Edge {
+            from: self.old,
+            to: self.new,
+            from_from_to: self.old_from_new,
+            information: self.information,
+            kernel,
+        }
     }
 
     /// Whether the graph says otherwise, beyond the measurement's noise, but not more than drift can
@@ -108,18 +127,26 @@ pub fn verify(
     graph: &KeyframeGraph,
     memory: &Memory,
 ) -> Option<Revisit> {
-    let by_corners = (candidates.iter())
-        .filter_map(|old| recognized(new.id, *old, memory))
-        .filter(|(guess, inliers)| *inliers >= limits.inliers && is_news(guess, MAYBE_NEWS))
+    let (guess, _) = (candidates.iter())
+        .filter_map(|old| by_corners(*old, new.id, limits.inliers, memory.places))
+        .filter(|(guess, _)| is_news(guess, MAYBE_NEWS))
         .max_by_key(|(_, inliers)| *inliers)?;
-    let revisit = registered(new, &by_corners.0, limits, graph, memory)?;
+    let revisit = registered(new, &guess, limits, graph, memory)?;
     let is_same = is_news(&revisit, MAX_CHI2) && looks_alike(new, &revisit, limits, memory);
     is_same.then_some(revisit)
 }
 
-/// How a new keyframe lies to an old one by their corners, and how many agree.
-fn recognized(new: KeyframeId, old: KeyframeId, memory: &Memory) -> Option<(Revisit, usize)> {
-    let relative = memory.places.relative_pose(old, new)?;
+/// How a keyframe lies to another by their corners, and how many agree; `None` if they are too few.
+fn by_corners(
+    old: KeyframeId,
+    new: KeyframeId,
+    min_inliers: usize,
+    places: &Relocalizer,
+) -> Option<(Revisit, usize)> {
+    let relative = places.relative_pose(old, new)?;
+    if relative.inliers < min_inliers {
+        return None;
+    }
     let revisit = Revisit {
         old,
         new,
@@ -127,6 +154,12 @@ fn recognized(new: KeyframeId, old: KeyframeId, memory: &Memory) -> Option<(Revi
         information: with_errors(&relative.information, CORNERS_FLOOR)?,
     };
     Some((revisit, relative.inliers))
+}
+
+/// How a keyframe lies to the one before it by their corners, where these would find a lost camera.
+pub fn seen_by_both(before: KeyframeId, new: KeyframeId, places: &Relocalizer) -> Option<Revisit> {
+    let (revisit, _) = by_corners(before, new, MEETING.inliers, places)?;
+    Some(revisit)
 }
 
 /// Whether a new keyframe looks like the old one from where it is said to be.
@@ -180,21 +213,13 @@ fn registered(
     let holds = alignment.converged
         && alignment.inlier_share >= limits.inlier_share
         && alignment.rms_residual_m <= MAX_RESIDUAL * depth_m
-        && guess.drift_to(&(world_from_old.inverse() * pose)) <= MAX_CHI2;
+        && guess.error_of(&(world_from_old.inverse() * pose)) <= MAX_CHI2;
     holds.then_some(())?;
     Some(Revisit {
         old_from_new: (world_from_old.inverse() * pose).renormalized(),
         information: with_errors(&memory.registrar.information(&alignment), SURFACES_FLOOR)?,
         ..guess.clone()
     })
-}
-
-impl Revisit {
-    /// The squared error of another measurement of the same, in standard deviations of this one.
-    fn drift_to(&self, old_from_new: &Se3) -> f64 {
-        let off = (self.old_from_new.inverse() * *old_from_new).log();
-        off.dot(&(self.information * off))
-    }
 }
 
 /// Information after independent errors of these standard deviations, of the turn (rad) and the shift

@@ -20,7 +20,7 @@ use crate::event::{EventHub, SlamEvent, Subscription};
 use crate::frame_result::{FrameResult, FrameStatus};
 use crate::holdout::Holdout;
 use crate::keyframes::{Admission, FrameWork, Keyframe, KeyframeKind};
-use crate::loops::{LoopCloser, successive_edge};
+use crate::loops::{LoopCloser, seen_by_both, successive_edge};
 use crate::refinement::RefinedMap;
 use crate::saved_session::{RecordedFrame, SavedSession};
 use crate::separation::Separation;
@@ -473,7 +473,12 @@ impl Slam {
             let motion = world_from_previous.inverse() * pose;
             // An information that is not positive definite makes no edge: the keyframe then starts
             // a part of its own.
-            let edge = successive_edge(previous, keyframe.id, motion, &information);
+            let places = self.tracker.memory().places;
+            let by_corners = self
+                .closes_loops
+                .then(|| seen_by_both(previous, keyframe.id, places));
+            let by_corners = by_corners.flatten();
+            let edge = successive_edge(previous, keyframe.id, motion, &information, by_corners);
             let _ = edge.map(|edge| self.graph.add_edge(edge));
         }
         self.keyframes
