@@ -25,7 +25,7 @@ use crate::pictures;
 /// Room for a second or two; then events are missed.
 const QUEUE: usize = 256;
 /// Drawing takes at most one part in so many of this thread's time.
-const REST: u32 = 15;
+const REST: u32 = 25;
 /// Nobody needs news of the map more often.
 const MIN_REST: Duration = Duration::from_millis(700);
 /// How often to see whether somebody looks on.
