@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::machine_memory::machine_memory;
 
-/// By default, where there is memory for them.
+/// By default, where there is memory for them: those of a large apartment.
 const MOST_GAUSSIANS: usize = 4_000_000;
 
 /// Adaptive seeding (paper, Sec. III-A).
@@ -44,7 +44,7 @@ pub struct MappingConfig {
     /// others.
     pub covisible_probability: f64,
     /// At most so many keyframes stay in memory for optimisation; fewer where images are so large that
-    /// they would take more than 2 GB: 97 of 1920x1080, 5 of 12 megapixels.
+    /// they would take more than 2 GB (97 of 1920x1080, 5 of 12 megapixels) or a quarter of the machine's memory.
     pub max_keyframes: usize,
     /// At most so many gaussians stay in the map (by default 4 million, and no more than one for each
     /// kilobyte of the machine's memory); where more are needed, those go that the newest
@@ -90,7 +90,7 @@ impl Default for MappingConfig {
     }
 }
 
-/// A quarter of the memory of small machines. More than that of an apartment take long to optimise.
+/// A quarter of the memory of small machines.
 fn affordable_gaussians(memory_bytes: u64) -> usize {
     usize::try_from(memory_bytes >> 10).map_or(MOST_GAUSSIANS, |most| most.min(MOST_GAUSSIANS))
 }

@@ -75,7 +75,8 @@ pub fn agree(a: &Revisit, b: &Revisit, graph: &KeyframeGraph) -> bool {
 fn motion_between(before: KeyframeId, after: KeyframeId, graph: &KeyframeGraph) -> Option<Se3> {
     let (mut id, mut id_from_after) = (after, Se3::identity());
     while id > before {
-        let Some(edge) = graph.edges().iter().rfind(|edge| edge.to == id) else {
+        let is_back = |edge: &&Edge| edge.to == id && edge.from >= before;
+        let Some(edge) = graph.edges().iter().rfind(is_back) else {
             break;
         };
         (id, id_from_after) = (edge.from, edge.from_from_to * id_from_after);
@@ -102,7 +103,7 @@ impl Correction {
             return;
         };
         for (id, _) in graph.poses().filter(|(id, _)| *id > newest) {
-            let edge = graph.edges().iter().rev().find(|edge| edge.to == id);
+            let edge = graph.edges().iter().rfind(|edge| edge.to == id);
             let moved = edge.and_then(|edge| self.moves.iter().find(|(id, _)| *id == edge.from));
             if let Some(&(_, motion)) = moved {
                 self.moves.push((id, motion));
