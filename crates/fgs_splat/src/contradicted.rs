@@ -3,9 +3,10 @@
 //! One that was measured may have been a flying pixel, something that has moved, or right where this
 //! measurement is wrong: it fades a little, and vanishes if it is contradicted again and again.
 //!
-//! Those whose depth was inferred vanish at once. A guess in front of a measured surface hides it, and keeps it from being seeded, since the map is
-//! opaque there. A guess on the surface is right, and optimised already. One behind it may belong to
-//! something else, which the surface hides.
+//! Those whose depth was inferred vanish at once. A guess in front of a measured surface hides it, and keeps
+//! it from being seeded, since the map is opaque there. A guess on the surface is right, and optimised already.
+//! One behind it may belong to something else, which the surface hides. Guesses that the camera has come near
+//! are asked for in all of their image: in a doorway they would hang before it like fog.
 
 use fgs_geom::{Image, View, has_depth};
 
@@ -27,40 +28,55 @@ pub(crate) const FADE_LOGIT: f32 = 2.0;
 /// The opacity logit of gaussians that are never drawn.
 pub(crate) const HIDDEN_LOGIT: f32 = -80.0;
 
-/// Hides the inferred gaussians in front of the surface measured at their centre's pixel, and fades
-/// measured ones far in front of it. `depth_m` has the view's size; metres.
+/// A guess that looks wider than this is near: standard deviation in pixels, three times that of a large seed.
+/// It hides much, and its centre may be where nothing is measured, or outside of the image.
+pub(crate) const WIDE_PX: f32 = 5.0;
+
+/// Hides the inferred gaussians in front of the surface measured where they are, and fades measured ones
+/// far in front of it. `depth_m` has the view's size; metres.
 pub(crate) fn fade_contradicted(gaussians: &mut Gaussians, view: &View, depth_m: &Image<f32>) {
     let camera = ScreenCamera::<f32>::new(view);
     for i in 0..gaussians.len() {
-        let inferred = gaussians.inferred[i];
-        let limit = if inferred { IN_FRONT } else { FAR_IN_FRONT };
-        if is_in_front(&gaussians.means[i], limit, &camera, depth_m) {
-            let logit = &mut gaussians.opacity_logits[i];
-            *logit = if inferred {
-                HIDDEN_LOGIT
-            } else {
-                *logit - FADE_LOGIT
-            };
+        let center = camera.camera_axes::<false>(&gaussians.means[i]);
+        if center[2] < NEAR_M as f32 {
+            continue;
+        }
+        let pixel = [0, 1]
+            .map(|axis| camera.focal[axis] * (center[axis] / center[2]) + camera.center[axis]);
+        let is_before =
+            |limit: f32, pixel: [f32; 2]| Some(center[2] < limit * measured_at(depth_m, pixel)?);
+        let logit = &mut gaussians.opacity_logits[i];
+        if !gaussians.inferred[i] {
+            if is_before(FAR_IN_FRONT, pixel) == Some(true) {
+                *logit -= FADE_LOGIT;
+            }
+            continue;
+        }
+        let [x, y, z] = gaussians.log_scales[i];
+        let width_px = camera.focal[0] * x.max(y).max(z).exp() / center[2];
+        let reach_px = if width_px > WIDE_PX { width_px } else { 0.0 };
+        // Of what is measured around its centre, most decides.
+        let (mut before, mut measured) = (0, 0);
+        for (du, dv) in (-1..=1).flat_map(|du| (-1..=1).map(move |dv| (du as f32, dv as f32))) {
+            let around = [pixel[0] + reach_px * du, pixel[1] + reach_px * dv];
+            if let Some(is_before) = is_before(IN_FRONT, around) {
+                measured += 1;
+                before += i32::from(is_before);
+            }
+        }
+        if 2 * before > measured {
+            *logit = HIDDEN_LOGIT;
         }
     }
 }
 
-fn is_in_front(
-    mean: &[f32; 3],
-    limit: f32,
-    camera: &ScreenCamera<f32>,
-    depth_m: &Image<f32>,
-) -> bool {
-    let [x, y, z] = camera.camera_axes::<false>(mean);
-    let pixel = [x, y].map(|x| x / z);
-    let [u, v] = [0, 1].map(|axis| {
-        let pixel = camera.focal[axis] * pixel[axis] + camera.center[axis];
-        (pixel + 0.5).floor()
-    });
+/// The depth of the pixel that holds a point of the image; `None` where none was measured.
+fn measured_at(depth_m: &Image<f32>, pixel: [f32; 2]) -> Option<f32> {
+    let [u, v] = pixel.map(|at| (at + 0.5).floor());
     let is_inside = |x: f32, size: usize| x >= 0.0 && x < size as f32;
-    if z < NEAR_M as f32 || !is_inside(u, depth_m.width()) || !is_inside(v, depth_m.height()) {
-        return false;
+    if !is_inside(u, depth_m.width()) || !is_inside(v, depth_m.height()) {
+        return None;
     }
     let measured_m = depth_m.at(u as usize, v as usize);
-    has_depth(measured_m) && z < limit * measured_m
+    has_depth(measured_m).then_some(measured_m)
 }

@@ -7,7 +7,7 @@ use std::fmt::Write;
 use bytemuck::{Pod, Zeroable};
 
 use crate::adam::{BETA_1, BETA_2, DECAY_STEPS, EPSILON};
-use crate::contradicted::{FADE_LOGIT, FAR_IN_FRONT, HIDDEN_LOGIT, IN_FRONT};
+use crate::contradicted::{FADE_LOGIT, FAR_IN_FRONT, HIDDEN_LOGIT, IN_FRONT, WIDE_PX};
 use crate::cpu::{SLACK_PX, WHITEN_SCALE};
 use crate::gaussians::SH0_FACTOR;
 use crate::losses::{C1, C2, FLAT_SCALE_M, MAX_LOG_SCALE, MAX_RENDERED, MIN_ALPHA, RADIUS};
@@ -324,6 +324,7 @@ pub fn preamble() -> String {
         ("EPSILON", EPSILON.into()),
         ("IN_FRONT", IN_FRONT.into()),
         ("FAR_IN_FRONT", FAR_IN_FRONT.into()),
+        ("WIDE_PX", WIDE_PX.into()),
         ("FADE_LOGIT", FADE_LOGIT.into()),
         ("HIDDEN_LOGIT", HIDDEN_LOGIT.into()),
     ] {

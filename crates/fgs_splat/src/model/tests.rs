@@ -334,6 +334,45 @@ fn gaussians_yield_to_what_is_measured_behind_them() {
 }
 
 #[test]
+fn a_guess_that_the_camera_has_come_near_yields_to_what_all_of_it_hides() {
+    let view = random_view(&mut rng(5), 60, 44);
+    // A wall at two metres, with nothing measured right of column 30.
+    let depth_m = Image::from_fn(60, 44, |u, _| if u < 30 { 2.0 } else { 0.0 });
+    // Column, depth, width in pixels, and whether it is hidden.
+    let cases = [
+        (33.0, 0.3, 10.0, true),
+        (-6.0, 0.3, 10.0, true),
+        // It looks as small as a seed.
+        (33.0, 0.3, 4.0, false),
+        // It hides nothing that was measured, or is not before it.
+        (45.0, 0.3, 10.0, false),
+        (33.0, 1.95, 10.0, false),
+    ];
+    let mut seeds = Seeds::default();
+    for (u, z, width_px, _) in cases {
+        let point = view.camera.unproject(u, 20.0, z);
+        let scale = (width_px * z / view.camera.intrinsics.fx) as f32;
+        seeds.gaussians.push(&Gaussian {
+            mean: view.world_from_camera.transform(&point).cast().into(),
+            quat: [1.0, 0.0, 0.0, 0.0],
+            scales: [0.001, scale, 0.001],
+            opacity: 0.9,
+            rgb: [0.5; 3],
+        });
+        seeds.sparse_ids.push(None);
+    }
+    seeds.gaussians.inferred.fill(true);
+    on_each_backend(|new_model| {
+        let mut model = new_model(&ModelSettings::default());
+        model.insert(&seeds, FIRST).unwrap();
+        model.fade_contradicted(&view, &depth_m).unwrap();
+        let after = model.gaussians().unwrap();
+        let hidden = |i: usize| after.opacity(i) < 1e-6;
+        assert_eq!(std::array::from_fn(hidden), cases.map(|case| case.3));
+    });
+}
+
+#[test]
 fn a_keyframe_of_another_exposure_is_brought_to_the_maps() {
     let World { view, .. } = world();
     // A wall of many colours before the camera.
