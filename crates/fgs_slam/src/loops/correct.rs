@@ -66,7 +66,12 @@ pub fn agree(a: &Revisit, b: &Revisit, graph: &KeyframeGraph) -> bool {
     let (Some(by_a), Some(by_b)) = (moved(a), moved(b)) else {
         return false;
     };
-    let apart = by_a.inverse() * by_b;
+    are_close(&by_a, &by_b)
+}
+
+/// Whether two measurements of a pose agree.
+pub fn are_close(a: &Se3, b: &Se3) -> bool {
+    let apart = a.inverse() * *b;
     apart.rotation.angle() <= MAX_TURN_RAD && apart.translation.norm() <= MAX_SHIFT_M
 }
 

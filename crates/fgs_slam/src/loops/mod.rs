@@ -26,8 +26,8 @@ use crate::relocalizer::Relocalizer;
 use crate::sparse_map::SparseMap;
 use crate::submaps::Submaps;
 
-use correct::agree;
 pub use correct::{Correction, correction, successive_edge};
+use correct::{agree, are_close};
 use detect::{Ways, candidates, candidates_apart};
 pub use verify::seen_by_both;
 use verify::{LOOP, MEETING, Revisit, Seen, verify};
@@ -65,7 +65,15 @@ impl LoopCloser {
         memory: &Memory,
     ) -> Option<[Revisit; 2]> {
         let ways = Ways::from(graph, id);
-        (self.waiting).retain(|revisit| ways.to(revisit.new) <= PATIENCE_M);
+        (self.waiting).retain(|revisit| {
+            let [to_new, to_old] = [revisit.new, revisit.old].map(|id| ways.to(id));
+            // Nothing tells how far a camera has come that has been lost.
+            let is_unknown = to_new.min(to_old).is_infinite();
+            is_unknown || to_new <= PATIENCE_M || to_old <= PATIENCE_M
+        });
+        if let Some(both) = self.returned(id, graph, &ways, memory) {
+            return Some(both);
+        }
         let similar = memory.places.similar_to(frame);
         let candidates = candidates(id, &similar, &ways, graph, memory);
         let apart = candidates_apart(id, &similar, submaps);
@@ -87,8 +95,28 @@ impl LoopCloser {
         both
     }
 
-    /// A loop has been closed: what waits is no news any more.
-    pub fn forget(&mut self) {
-        self.waiting.clear();
+    /// Whether a keyframe confirms a revisit from the other side: a camera that drift or a loss has torn from its
+    /// way is where the old keyframe was taken, and sees what the new one saw, where the revisit says.
+    fn returned(
+        &self,
+        id: KeyframeId,
+        graph: &KeyframeGraph,
+        ways: &Ways,
+        memory: &Memory,
+    ) -> Option<[Revisit; 2]> {
+        self.waiting.iter().find_map(|revisit| {
+            if ways.to(revisit.old) > PATIENCE_M || !ways.is_old(revisit.new) {
+                return None;
+            }
+            let seen = seen_by_both(revisit.new, id, memory.places)?;
+            let world_from_new = *graph.pose(revisit.old)? * revisit.old_from_new;
+            let expected = world_from_new.inverse() * *graph.pose(id)?;
+            are_close(&seen.old_from_new, &expected).then(|| [revisit.clone(), seen])
+        })
+    }
+
+    /// A loop has been closed, and keyframes have moved: what is no news any more waits no longer.
+    pub fn forget_what_is_known(&mut self, graph: &KeyframeGraph) {
+        self.waiting.retain(|revisit| revisit.contradicts(graph));
     }
 }

@@ -88,6 +88,14 @@ impl Revisit {
         off.dot(&(self.information * off))
     }
 
+    /// Whether the graph says otherwise, beyond the measurement's noise.
+    pub fn contradicts(&self, graph: &KeyframeGraph) -> bool {
+        let (Some(old), Some(new)) = (graph.pose(self.old), graph.pose(self.new)) else {
+            return false;
+        };
+        self.error_of(&(old.inverse() * *new)) > MAX_CHI2
+    }
+
     /// What the graph is told of it.
     pub fn edge(&self, kernel: RobustKernel) -> Edge {
         Edge {

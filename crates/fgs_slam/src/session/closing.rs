@@ -45,7 +45,6 @@ impl Slam {
     }
 
     fn correct(&mut self, mut correction: Correction) -> Result<(), SlamError> {
-        self.loops.forget();
         correction.extend_to(&self.graph);
         let seam = correction
             .edges
@@ -59,14 +58,14 @@ impl Slam {
             }
         }
         self.closed_loops += 1;
-        if correction.moves.is_empty() {
-            return Ok(());
+        if !correction.moves.is_empty() {
+            self.apply(&correction.moves)?;
+            if let Some(seam) = seam {
+                self.mapping.mend(seam)?;
+            }
         }
-        self.apply(&correction.moves)?;
-        match seam {
-            Some(seam) => Ok(self.mapping.mend(seam)?),
-            None => Ok(()),
-        }
+        self.loops.forget_what_is_known(&self.graph);
+        Ok(())
     }
 
     /// Whether a keyframe from a number on is in a sub-map with one before it.
