@@ -50,18 +50,19 @@ impl Remembered {
             grid: tracking_grid(&config, sequence.camera()),
             registrar: Registrar::new(&config),
         };
-        for i in 0..4 {
-            remembered.show(i, sequence, 4 * i as usize, &Se3::identity());
+        for i in 0..4_u32 {
+            let before = i.checked_sub(1);
+            remembered.show(i, before, sequence, 4 * i as usize, &Se3::identity());
         }
         let far = Se3::exp(&Vector6::new(0.0, 0.0, 0.0, 9.0, 0.0, 0.0));
-        remembered.join(KeyframeId(4), far);
+        remembered.join(4, Some(3), far);
         remembered
     }
 
-    /// A keyframe joins the graph.
-    fn join(&mut self, id: KeyframeId, pose: Se3) {
+    /// A keyframe joins the graph, tracked from another.
+    fn join(&mut self, id: u32, before: Option<u32>, pose: Se3) {
+        let (id, before) = (KeyframeId(id), before.map(KeyframeId));
         self.graph.add_keyframe(id, pose);
-        let before = id.0.checked_sub(1).map(KeyframeId);
         self.submaps.add(id, before, pose.translation);
         if let Some(from) = before
             && let Some(world_from_before) = self.graph.pose(from)
@@ -74,7 +75,14 @@ impl Remembered {
     }
 
     /// A keyframe is made of a frame, whose pose is said to be off by some drift.
-    fn show(&mut self, id: u32, sequence: &Sequence, frame: usize, drift: &Se3) -> Keyframe {
+    fn show(
+        &mut self,
+        id: u32,
+        before: Option<u32>,
+        sequence: &Sequence,
+        frame: usize,
+        drift: &Se3,
+    ) -> Keyframe {
         let pose = *drift * sequence.world_from_camera(frame);
         let keyframe = Keyframe {
             id: KeyframeId(id),
@@ -85,7 +93,7 @@ impl Remembered {
             information: None,
             new_points: Vec::new(),
         };
-        self.join(keyframe.id, pose);
+        self.join(id, before, pose);
         self.places.add(&keyframe);
         let frame = &keyframe.frame;
         self.color.add(&keyframe, &ColorAligner::pyramid(frame));
@@ -108,7 +116,7 @@ impl Remembered {
         }
     }
 
-    /// Shows a frame and looks for loops.
+    /// Shows a frame, tracked from the one before it, and looks for loops.
     fn close(
         &mut self,
         closer: &mut LoopCloser,
@@ -117,7 +125,11 @@ impl Remembered {
         frame: usize,
         drift: &Se3,
     ) -> Option<Correction> {
-        let keyframe = self.show(id, sequence, frame, drift);
+        let keyframe = self.show(id, id.checked_sub(1), sequence, frame, drift);
+        self.find(closer, &keyframe)
+    }
+
+    fn find(&self, closer: &mut LoopCloser, keyframe: &Keyframe) -> Option<Correction> {
         let (graph, submaps) = (&self.graph, &self.submaps);
         let revisits = closer.find(keyframe.id, &keyframe.frame, graph, submaps, &self.memory())?;
         correction(graph, submaps, revisits.each_ref())
@@ -149,6 +161,29 @@ fn two_revisits_that_agree_take_out_the_drift() {
         let moved = motion.log().norm();
         assert!(moved <= 0.01, "{id:?}: {moved}");
     }
+}
+
+/// The camera is lost after the first revisit, and found where it was at first.
+#[test]
+fn a_revisit_is_confirmed_by_who_is_back_another_way() {
+    let sequence = sequence(3);
+    let mut remembered = Remembered::new(&sequence);
+    let mut closer = LoopCloser::default();
+    let first = remembered.close(&mut closer, 5, &sequence, 2, &drift());
+    assert!(first.is_none() && closer.waiting.len() == 1);
+    let found = remembered.show(6, Some(1), &sequence, 6, &Se3::identity());
+    let closed = remembered.find(&mut closer, &found).unwrap();
+    let (_, motion) = closed.moves[5];
+    let left =
+        sequence.world_from_camera(2).inverse() * motion * drift() * sequence.world_from_camera(2);
+    assert!(
+        left.translation.norm() <= 0.02 && left.rotation.angle() <= 0.01,
+        "{left:?}"
+    );
+    // Once the graph knows, nothing waits.
+    remembered.graph.move_keyframes(&closed.moves);
+    closer.forget_what_is_known(&remembered.graph);
+    assert!(closer.waiting.is_empty());
 }
 
 #[test]
