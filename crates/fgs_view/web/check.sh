@@ -29,12 +29,12 @@ address_in() {
 "$fgs" synth room --frames 60 --size 160x120 --seed 3 > /dev/null
 # So many steps that it is still at work when it has been looked at.
 "$fgs" run room --out run --set mapping.iterations_per_frame=200 --live 127.0.0.1:0 > live.log 2>&1 &
-node check.mjs "$(address_in live.log)" "$pictures/live.png"
+node check.mjs "$(address_in live.log)" "$pictures/live.png" 40
 kill $!
 wait $! || true
 "$fgs" run room --out run --set mapping.iterations_per_frame=2 > /dev/null 2>&1
 "$fgs" view run --address 127.0.0.1:0 > view.log 2>&1 &
-node check.mjs "$(address_in view.log)" "$pictures/view.png"
+node check.mjs "$(address_in view.log)" "$pictures/view.png" 40
 kill $!
 wait $! || true
 node check.mjs "file://$scratch/run/report.html" "$pictures/report.png" 2
