@@ -185,6 +185,25 @@ fn parts_that_are_not_connected_keep_their_own_first_keyframe() {
 }
 
 #[test]
+fn edges_follow_keyframes_that_are_measured_anew_unless_they_are_robust() {
+    let at = |x: f64| Se3::exp(&Vector6::new(0.0, 0.0, 0.0, x, 0.0, 0.0));
+    let mut graph = KeyframeGraph::new();
+    let [first, second] = [0, 1].map(KeyframeId);
+    graph.add_keyframe(first, at(0.0));
+    graph.add_keyframe(second, at(1.0));
+    let tracked = edge(first, second, at(1.0), Matrix6::identity());
+    let seen = Edge {
+        kernel: ROBUST,
+        ..tracked.clone()
+    };
+    graph.add_edge(tracked).unwrap();
+    graph.add_edge(seen).unwrap();
+    graph.remeasure_keyframes(&[(second, at(0.5))]);
+    let measured = |i: usize| graph.edges()[i].from_from_to;
+    assert_eq!((measured(0), measured(1)), (at(1.5), at(1.0)));
+}
+
+#[test]
 fn what_is_no_measurement_is_refused() {
     let (a, b) = (KeyframeId(0), KeyframeId(1));
     let mut graph = KeyframeGraph::new();

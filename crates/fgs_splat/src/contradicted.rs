@@ -54,11 +54,16 @@ pub(crate) fn fade_contradicted(gaussians: &mut Gaussians, view: &View, depth_m:
         }
         let [x, y, z] = gaussians.log_scales[i];
         let width_px = camera.focal[0] * x.max(y).max(z).exp() / center[2];
-        let reach_px = if width_px > WIDE_PX { width_px } else { 0.0 };
-        // Of what is measured around its centre, most decides.
+        // Of what is measured around the centre of a wide one, most decides.
+        let is_wide = width_px > WIDE_PX;
+        let (reach, reach_px) = if is_wide { (1, width_px) } else { (0, 0.0) };
+        let steps = (-reach..=reach).map(|step| step as f32 * reach_px);
         let (mut before, mut measured) = (0, 0);
-        for (du, dv) in (-1..=1).flat_map(|du| (-1..=1).map(move |dv| (du as f32, dv as f32))) {
-            let around = [pixel[0] + reach_px * du, pixel[1] + reach_px * dv];
+        for (du, dv) in steps
+            .clone()
+            .flat_map(|du| steps.clone().map(move |dv| (du, dv)))
+        {
+            let around = [pixel[0] + du, pixel[1] + dv];
             if let Some(is_before) = is_before(IN_FRONT, around) {
                 measured += 1;
                 before += i32::from(is_before);

@@ -122,13 +122,13 @@ impl Correction {
 pub fn correction(
     graph: &KeyframeGraph,
     submaps: &Submaps,
-    revisits: [&Revisit; 2],
+    revisits: &[Revisit; 2],
 ) -> Option<Correction> {
-    let edges = |kernel: RobustKernel| revisits.map(|revisit| revisit.edge(kernel));
+    let edges = |kernel: RobustKernel| revisits.each_ref().map(|revisit| revisit.edge(kernel));
     // A robust edge far from its minimum has no pull. So loops are closed first, and then asked
     // whether they fit.
     let mut start = graph.clone();
-    start.move_keyframes(&meeting(graph, submaps, revisits[1])?);
+    start.move_keyframes(&meeting(graph, submaps, &revisits[1])?);
     let closed = optimized(&start, &edges(RobustKernel::Quadratic))?;
     start.move_keyframes(&closed.corrections);
     let edges = edges(ROBUST);
@@ -239,7 +239,7 @@ mod tests {
     #[test]
     fn drift_is_spread_over_the_way() {
         let graph = drifted();
-        let correction = correction(&graph, &one(), [&right(0, 18), &right(1, 19)]).unwrap();
+        let correction = correction(&graph, &one(), &[right(0, 18), right(1, 19)]).unwrap();
         let mut aside = vec![0.0];
         for (id, motion) in &correction.moves[1..] {
             let pose = *motion * *graph.pose(*id).unwrap();
@@ -257,7 +257,7 @@ mod tests {
     #[test]
     fn what_joined_meanwhile_moves_with_what_it_was_tracked_from() {
         let mut graph = drifted();
-        let mut correction = correction(&graph, &one(), [&right(0, 18), &right(1, 19)]).unwrap();
+        let mut correction = correction(&graph, &one(), &[right(0, 18), right(1, 19)]).unwrap();
         for (from, to) in [(19, 20), (20, 21), (3, 22)] {
             let (from, to) = (KeyframeId(from), KeyframeId(to));
             let pose = *graph.pose(from).unwrap() * at(STEP_M, 0.0);
@@ -302,13 +302,13 @@ mod tests {
     #[test]
     fn loops_that_contradict_the_others_are_refused() {
         let mut graph = drifted();
-        let first = correction(&graph, &one(), [&right(0, 18), &right(1, 19)]).unwrap();
+        let first = correction(&graph, &one(), &[right(0, 18), right(1, 19)]).unwrap();
         graph.move_keyframes(&first.moves);
         for edge in first.edges {
             graph.add_edge(edge).unwrap();
         }
         let wrong = |old: u32, new: u32| revisit(old, new, at(STEP_M * f64::from(new - old), 0.5));
-        assert!(correction(&graph, &one(), [&wrong(0, 17), &wrong(1, 16)]).is_none());
+        assert!(correction(&graph, &one(), &[wrong(0, 17), wrong(1, 16)]).is_none());
     }
 
     #[test]
@@ -318,7 +318,7 @@ mod tests {
             let ahead = STEP_M * f64::from(new - old);
             revisit(old, new, at(ahead, 0.01 * ahead))
         };
-        let correction = correction(&graph, &one(), [&known(0, 18), &known(1, 19)]).unwrap();
+        let correction = correction(&graph, &one(), &[known(0, 18), known(1, 19)]).unwrap();
         assert!(correction.edges.len() == 2 && correction.moves.is_empty());
     }
 
@@ -368,8 +368,7 @@ mod tests {
             [met(12, 20, -2.0), met(12, 21, -1.0)],
         ] {
             assert!(agree(&revisits[0], &revisits[1], &graph));
-            let [first, second] = &revisits;
-            let joined = correction(&graph, &submaps, [first, second]).unwrap();
+            let joined = correction(&graph, &submaps, &revisits).unwrap();
             let mut moved = graph.clone();
             moved.move_keyframes(&joined.moves);
             for (id, pose) in moved.poses() {

@@ -66,10 +66,9 @@ impl LoopCloser {
     ) -> Option<[Revisit; 2]> {
         let ways = Ways::from(graph, id);
         (self.waiting).retain(|revisit| {
-            let [to_new, to_old] = [revisit.new, revisit.old].map(|id| ways.to(id));
+            let way = ways.to(revisit.new).min(ways.to(revisit.old));
             // Nothing tells how far a camera has come that has been lost.
-            let is_unknown = to_new.min(to_old).is_infinite();
-            is_unknown || to_new <= PATIENCE_M || to_old <= PATIENCE_M
+            way <= PATIENCE_M || way.is_infinite()
         });
         if let Some(both) = self.returned(id, graph, &ways, memory) {
             return Some(both);

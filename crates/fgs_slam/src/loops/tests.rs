@@ -132,7 +132,7 @@ impl Remembered {
     fn find(&self, closer: &mut LoopCloser, keyframe: &Keyframe) -> Option<Correction> {
         let (graph, submaps) = (&self.graph, &self.submaps);
         let revisits = closer.find(keyframe.id, &keyframe.frame, graph, submaps, &self.memory())?;
-        correction(graph, submaps, revisits.each_ref())
+        correction(graph, submaps, &revisits)
     }
 }
 

@@ -84,16 +84,19 @@ impl Revisit {
 
     /// The squared error of another measurement of the same, in standard deviations of this one.
     pub fn error_of(&self, old_from_new: &Se3) -> f64 {
-        let off = (self.old_from_new.inverse() * *old_from_new).log();
-        off.dot(&(self.information * off))
+        self.squared(&(self.old_from_new.inverse() * *old_from_new))
+    }
+
+    /// How far a motion in the axes of the new keyframe is, squared, in standard deviations.
+    fn squared(&self, motion: &Se3) -> f64 {
+        let tangent = motion.log();
+        tangent.dot(&(self.information * tangent))
     }
 
     /// Whether the graph says otherwise, beyond the measurement's noise.
     pub fn contradicts(&self, graph: &KeyframeGraph) -> bool {
-        let (Some(old), Some(new)) = (graph.pose(self.old), graph.pose(self.new)) else {
-            return false;
-        };
-        self.error_of(&(old.inverse() * *new)) > MAX_CHI2
+        let drift = self.drift(graph);
+        drift.is_some_and(|drift| self.squared(&drift) > MAX_CHI2)
     }
 
     /// What the graph is told of it.
@@ -110,10 +113,8 @@ impl Revisit {
     /// Whether the graph says otherwise, beyond the measurement's noise, but not more than drift can
     /// explain.
     pub fn is_news(&self, graph: &KeyframeGraph, ways: &Ways, chi2: f64) -> bool {
-        self.drift(graph).is_some_and(|drift| {
-            let tangent = drift.log();
-            ways.allows(self.old, &drift) && tangent.dot(&(self.information * tangent)) > chi2
-        })
+        self.drift(graph)
+            .is_some_and(|drift| ways.allows(self.old, &drift) && self.squared(&drift) > chi2)
     }
 }
 

@@ -24,27 +24,26 @@ impl Slam {
             return Ok(());
         };
         let (graph, submaps) = (self.graph.clone(), self.submaps.clone());
-        (self.correcting).begin(move || correction(&graph, &submaps, revisits.each_ref()))?;
+        (self.correcting).begin(move || correction(&graph, &submaps, &revisits))?;
         self.take_correction()
     }
 
     /// Takes over a correction that is ready.
     pub(super) fn take_correction(&mut self) -> Result<(), SlamError> {
-        match self.correcting.poll() {
-            Some(correction) => self.correct(correction),
-            None => Ok(()),
-        }
+        let ready = self.correcting.poll();
+        self.correct(ready)
     }
 
     /// Takes over the correction that is under way, if any.
     pub(crate) fn await_correction(&mut self) -> Result<(), SlamError> {
-        match self.correcting.wait() {
-            Some(correction) => self.correct(correction),
-            None => Ok(()),
-        }
+        let ready = self.correcting.wait();
+        self.correct(ready)
     }
 
-    fn correct(&mut self, mut correction: Correction) -> Result<(), SlamError> {
+    fn correct(&mut self, correction: Option<Correction>) -> Result<(), SlamError> {
+        let Some(mut correction) = correction else {
+            return Ok(());
+        };
         correction.extend_to(&self.graph);
         let seam = correction
             .edges

@@ -476,8 +476,8 @@ impl Slam {
             let places = self.tracker.memory().places;
             let by_corners = self
                 .closes_loops
-                .then(|| seen_by_both(previous, keyframe.id, places));
-            let by_corners = by_corners.flatten();
+                .then(|| seen_by_both(previous, keyframe.id, places))
+                .flatten();
             let edge = successive_edge(previous, keyframe.id, motion, &information, by_corners);
             let _ = edge.map(|edge| self.graph.add_edge(edge));
         }

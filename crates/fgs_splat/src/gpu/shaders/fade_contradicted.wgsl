@@ -23,12 +23,13 @@ fn fade_contradicted(@builtin(global_invocation_id) id: vec3<u32>) {
     }
     let log_scales = gaussians[id.x].log_scales;
     let width_px = view.focal.x * exp(max(max(log_scales.x, log_scales.y), log_scales.z)) / center.z;
+    // Of what is measured around the centre of a wide one, most decides.
+    let reach = select(0, 1, width_px > WIDE_PX);
     let reach_px = select(0.0, width_px, width_px > WIDE_PX);
-    // Of what is measured around its centre, most decides.
     var before = 0;
     var measured = 0;
-    for (var du = -1; du <= 1; du++) {
-        for (var dv = -1; dv <= 1; dv++) {
+    for (var du = -reach; du <= reach; du++) {
+        for (var dv = -reach; dv <= reach; dv++) {
             let measured_m = measured_at(pixel + reach_px * vec2(f32(du), f32(dv)));
             measured += select(0, 1, measured_m > 0.0);
             before += select(0, 1, measured_m > 0.0 && center.z < IN_FRONT * measured_m);
